@@ -23,7 +23,7 @@ NANOSECONDS = 1_000_000_000
 
 FindingKind = Literal[
     "frozen", "saturated", "gap", "session", "clock jump", "duplicate stamps", "truncated",
-    "lost packets", "off lattice", "serial",
+    "lost packets", "empty", "off lattice", "serial",
 ]  # fmt: skip
 
 

@@ -19,9 +19,9 @@ if TYPE_CHECKING:
 def skew(v: Float[Array, "*N 3"]) -> Float[Array, "*N 3 3"]:
     """Return the matrix `[v]x` with `[v]x u = v x u`."""
     v = np.asarray(v, dtype=np.float64)
-    m = np.zeros((*v.shape, 3))
+    m: Array = np.zeros((*v.shape, 3))
     m[..., 2, 1], m[..., 0, 2], m[..., 1, 0] = v[..., 0], v[..., 1], v[..., 2]
-    m -= np.swapaxes(m, -1, -2).copy()
+    m -= np.swapaxes(m, -1, -2).copy()  # antisymmetric
     return m
 
 
@@ -64,4 +64,4 @@ def rotation_about(axis: Float[Array, 3], angle: Float[Array, "*N"]) -> Float[Ar
     """Return the rotation by `angle` [rad] about the unit vector `axis` (Rodrigues)."""
     k = skew(np.asarray(axis, dtype=np.float64))
     angle = np.asarray(angle, dtype=np.float64)[..., None, None]
-    return np.eye(3) + np.sin(angle) * k + (1.0 - np.cos(angle)) * (k @ k)
+    return np.asarray(np.eye(3) + np.sin(angle) * k + (1.0 - np.cos(angle)) * (k @ k))
