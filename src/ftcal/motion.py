@@ -41,7 +41,7 @@ class Motion:
         return len(self.time)
 
     def columns(self, joints: Sequence[str]) -> list[int]:
-        """Return the column of each of `joints`; raise `DataError` naming all that are not logged."""
+        """Return the column of each of `joints`; `DataError` names all not logged."""
         index = {name: column for column, name in enumerate(self.joints)}
         if missing := [name for name in joints if name not in index]:
             hint = unknown("joint signal", missing[0], self.joints) if len(missing) == 1 else ""
