@@ -1,0 +1,291 @@
+"""The job file: ten lines of TOML that name a robot, its sensors and the recordings.
+
+Paths are relative to the file. Unknown keys are refused with the near name; all faults of a file
+are reported at once. Seconds count from the start of each recording (see `zero`).
+"""
+
+from __future__ import annotations
+
+import difflib
+import hashlib
+import itertools
+import tomllib
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic_core import ErrorDetails
+
+from ftcal.contact import ContactSchedule, Interval
+from ftcal.errors import JobError, raise_all
+from ftcal.fit import FitOptions
+from ftcal.logs import Layout
+from ftcal.motion import STANDARD_GRAVITY
+from ftcal.pairing import SignalOptions
+
+Window = Annotated[tuple[float, float], Field(description="[start, stop) in seconds")]
+Six = Annotated[tuple[float, float, float, float, float, float], Field()]
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+Three = tuple[float, float, float]
+
+
+class Section(BaseModel):
+    """A table of the job file; keys that it does not know are an error."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=False, populate_by_name=True)
+
+
+class SensorSection(Section):
+    """One F/T sensor: where it is in the robot, in the log, and what its maker says of it."""
+
+    name: str
+    """Sensor of the URDF, or the fixed joint it sits in."""
+    signal: str
+    """Signal of the log that carries its channels, such as `right_leg/analog:o`."""
+    workbench: Path | None = None
+    """Firmware matrix file (`matrix_SN*.txt`) or a CSV of six rows; none: the log is believed."""
+    full_scale: Six | None = None
+    """Largest wrench per axis [N, Nm]; taken from the firmware file where it has one."""
+    logged: Literal["wrench", "channels"] = "wrench"
+    """Whether the log carries N and Nm (calibrated by the Workbench matrix) or raw channels."""
+    temperature: str | None = None
+    """Signal of the log with its temperature [degree Celsius]."""
+
+
+class ContactSection(Section):
+    """An interval during which one link alone touches the world."""
+
+    start: float
+    stop: float
+    link: str
+
+
+class RecordingSection(Section):
+    """One take: where it is, who touched the world, and which seconds train and test."""
+
+    log: Path
+    """File or folder."""
+    name: str | None = None
+    """Name in tables; default: that of the file or folder."""
+    contact: str | None = None
+    """Link or frame that touches the world throughout."""
+    contacts: tuple[ContactSection, ...] = ()
+    """Or: intervals with one contact each."""
+    gravity: Three = STANDARD_GRAVITY
+    """Gravity acceleration in the contact frame [m/s^2]; default: a level sole, z up."""
+    imu: str | None = None
+    """Signal with the contact's own motion (see `ftcal.pairing`); none: it stands still."""
+    train: tuple[Window, ...] | None = None
+    """Windows to train on, an offset each; default: all of it, unless `test` is given alone."""
+    test: tuple[Window, ...] = ()
+    """Windows held out for validation."""
+    zero: str | None = None
+    """Signal whose first sample is second 0; default: the earliest of all."""
+    angle: Literal["deg", "rad"] | None = None
+    """Unit of the joints; default: the format's own (YARP deg, tables rad)."""
+    time: str = "time"
+    """Tables: column with the stamps."""
+    time_unit: Literal["s", "ms", "us", "ns"] | None = None
+    """Tables: unit of that column."""
+    joints: dict[str, str | tuple[str, ...]] = {}
+    """YARP: port to joint names; tables: column to joint name."""
+    channels: dict[str, tuple[str, ...]] = {}
+    """Tables: signal to its columns."""
+    temperatures: dict[str, str] = {}
+    """Tables: signal to its column."""
+    imus: dict[str, tuple[str, ...]] = {}
+    """Tables: signal to its columns."""
+
+    @model_validator(mode="after")
+    def _consistent(self) -> RecordingSection:
+        faults = [
+            f"window [{a:g}, {b:g}] ends before it starts"
+            for a, b in (*(self.train or ()), *self.test)
+            if not b > a
+        ]
+        if (self.contact is None) == (not self.contacts):
+            faults.append("give either contact = LINK or contacts = [{start, stop, link}]")
+        size = float(np.linalg.norm(self.gravity))
+        if not 9.7 < size < 9.9:
+            faults.append(
+                f"gravity has length {size:.3g}; it is in m/s^2 and about 9.81 long on Earth"
+            )
+        windows = sorted((*(self.train or ()), *self.test))
+        faults += [
+            f"windows [{a[0]:g}, {a[1]:g}] and [{b[0]:g}, {b[1]:g}] overlap"
+            for a, b in itertools.pairwise(windows)
+            if b[0] < a[1]
+        ]
+        if faults:
+            raise ValueError("; ".join(faults))
+        return self
+
+    @property
+    def label(self) -> str:
+        """Name in tables and in the calibration."""
+        return self.name or self.log.stem or str(self.log)
+
+    def schedule(self) -> ContactSchedule:
+        """Return who touches the world when."""
+        if self.contact is not None:
+            return ContactSchedule((Interval(-np.inf, np.inf, self.contact),))
+        return ContactSchedule(tuple(Interval(c.start, c.stop, c.link) for c in self.contacts))
+
+    def layout(self) -> Layout:
+        """Return what the reader is told about the log."""
+        return Layout(
+            joints={k: (v,) if isinstance(v, str) else v for k, v in self.joints.items()},
+            angle=self.angle,
+            time=self.time,
+            time_unit=self.time_unit,
+            channels=self.channels,
+            temperatures=self.temperatures,
+            imus=self.imus,
+            zero=self.zero,
+        )
+
+
+class SignalsSection(Section):
+    """Smoothing; the defaults suit walking-pace motions logged at 50 Hz or more."""
+
+    joint_window: Positive = 0.81
+    """Savitzky-Golay window of the joint positions [s]."""
+    joint_order: Annotated[int, Field(ge=2)] = 4
+    """Its polynomial order."""
+    smoothing: Positive = 1.01
+    """Window of the filter that channels and model wrench share [s]."""
+    smoothing_order: Annotated[int, Field(ge=0)] = 2
+    """Its polynomial order."""
+    max_gap: Positive | None = None
+    """Longest time between two samples that is not a hole [s]; default: five periods."""
+
+    def options(self) -> SignalOptions:
+        """Return the options of the pairing step."""
+        return SignalOptions(**self.model_dump())
+
+
+class FitSection(Section):
+    """How strongly the Workbench matrix is believed."""
+
+    kappa: Positive | Literal["auto"] | None = None
+    """Scaled prior: expected bend of the secondary matrix, fraction of full scale."""
+    penalty: Annotated[float, Field(ge=0, allow_inf_nan=False, alias="lambda")] | None = None
+    """The paper's lambda instead (0 is plain least squares)."""
+    offset: Literal["centred", "in situ"] = "centred"
+    """How the offset leaves the regression."""
+    noise: Six | None = None
+    """Residual standard deviation per axis [N, Nm]; default: measured."""
+    samples_per_independent: Annotated[float, Field(ge=1)] | None = None
+    """Samples that count as one; default: measured."""
+    folds: Annotated[int, Field(ge=2, le=100)] = 5
+    """Blocks of every cross-validation."""
+
+    @model_validator(mode="after")
+    def _one_prior(self) -> FitSection:
+        if self.kappa is not None and self.penalty is not None:
+            raise ValueError("give kappa or lambda, not both")
+        if self.noise is not None and not min(self.noise) > 0:
+            raise ValueError("noise must be positive on every axis")
+        return self
+
+    def options(self) -> FitOptions:
+        """Return the options of the fit."""
+        return FitOptions(
+            kappa=None if self.kappa == "auto" else self.kappa,
+            penalty=self.penalty,
+            noise=self.noise,
+            samples_per_independent=self.samples_per_independent,
+            folds=self.folds,
+        )
+
+
+class Job(Section):
+    """A whole job file."""
+
+    robot: Path
+    """URDF or xacro."""
+    sensors: Annotated[tuple[SensorSection, ...], Field(min_length=1)]
+    recordings: Annotated[tuple[RecordingSection, ...], Field(min_length=1)]
+    signals: SignalsSection = SignalsSection()
+    fit: FitSection = FitSection()
+    output: Path | None = None
+    """Folder of the results; default: `ftcal-out` beside the job file."""
+    file: Annotated[Path, Field(exclude=True)] = Path("job.toml")
+    """The job file itself (set by `read_job`)."""
+
+    @model_validator(mode="after")
+    def _names_once(self) -> Job:
+        for kind, names in (
+            ("sensor", [s.name for s in self.sensors]),
+            ("recording", [r.label for r in self.recordings]),
+        ):
+            if twice := sorted({name for name in names if names.count(name) > 1}):
+                raise ValueError(f"{kind} {', '.join(map(repr, twice))} appears twice; give names")
+        return self
+
+    def path(self, path: Path) -> Path:
+        """Return a path of the job file as one that can be opened."""
+        return self.file.parent / path
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 of the job file's text, empty where the job was made in memory."""
+        return hashlib.sha256(self.file.read_bytes()).hexdigest() if self.file.is_file() else ""
+
+
+def read_job(path: Path) -> Job:
+    """Return the job that a TOML file describes.
+
+    Raises `JobError`, one line that names every fault with the near key where one is misspelt.
+    """
+    try:
+        table = tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise JobError(f"{path}: cannot be read ({error.strerror})") from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise JobError(f"{path}: not TOML: {error}") from error
+    if "file" in table:
+        raise JobError(f"{path}: unknown key 'file'")
+    try:
+        return Job.model_validate({**table, "file": path})
+    except ValidationError as error:
+        raise_all(JobError, str(path), (in_words(e, table) for e in error.errors()))
+        raise
+
+
+def in_words(error: ErrorDetails, table: Mapping[str, Any]) -> str:
+    """Return one fault that pydantic found as a phrase with the key, the value and a remedy."""
+    where = ".".join(str(part) for part in error["loc"] if part not in ("Literal", "float"))
+    kind = error["type"]
+    if kind == "extra_forbidden":
+        *parents, key = error["loc"]
+        near = difflib.get_close_matches(str(key), list(keys_beside(parents)), n=1, cutoff=0.5)
+        return f"unknown key {where!r}" + (f"; did you mean {near[0]!r}?" if near else "")
+    if kind == "missing":
+        return f"{where!r} is missing"
+    if kind == "value_error":
+        message = str(error["msg"]).removeprefix("Value error, ")
+        return f"{where}: {message}" if where else message
+    shown = repr(error["input"])
+    shown = shown if len(shown) <= 40 else f"{shown[:37]}..."
+    message = error["msg"][0].lower() + error["msg"][1:]
+    return f"{where} = {shown}: {message}"
+
+
+def keys_beside(parents: list[Any]) -> Iterator[str]:
+    """Yield the keys that the section at `parents` of a job file knows."""
+    section: type[BaseModel] = Job
+    sections: dict[str, type[BaseModel]] = {
+        "sensors": SensorSection,
+        "recordings": RecordingSection,
+        "contacts": ContactSection,
+        "signals": SignalsSection,
+        "fit": FitSection,
+    }
+    for part in parents:
+        section = sections.get(str(part), section)
+    for name, field in section.model_fields.items():
+        if name != "file":
+            yield field.alias or name

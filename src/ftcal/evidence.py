@@ -1,0 +1,106 @@
+"""An outcome → the records of `calibration.json`: the numbers to deploy and why to believe them."""
+
+from __future__ import annotations
+
+import hashlib
+import platform
+from collections.abc import Sequence
+from datetime import UTC, datetime
+
+import numpy as np
+
+from ftcal import __version__
+from ftcal.calibration import (
+    AxisVerdict,
+    HealthFinding,
+    Input,
+    Offset,
+    Prior,
+    Provenance,
+    SensorCalibration,
+)
+from ftcal.config import Job
+from ftcal.fit import segment_offsets
+from ftcal.folds import cells
+from ftcal.one_sensor import SensorOutcome
+from ftcal.recording import Recording
+from ftcal.robot import Robot
+
+
+def sensor_calibration(job: Job, outcome: SensorOutcome) -> SensorCalibration:
+    """Return the part of `calibration.json` for one sensor."""
+    channel, ft, found = outcome.channel, outcome.sensor, outcome.fit
+    workbench = channel.workbench
+    secondary = workbench.secondary(outcome.estimate.gain)
+    k = outcome.estimate.temperature_gain
+    frames = {"child": ft.child, "parent": ft.parent, "sensor": f"{ft.name} (origin)"}
+    strength = found.penalty if found.kappa is None else float(found.kappa[0])
+    tiles = cells((*outcome.training, *outcome.test), job.signals.smoothing)
+    return SensorCalibration(
+        sensor=ft.name,
+        signal=channel.signal,
+        logged=workbench.logged,
+        frame=frames[ft.frame],
+        acts_on=ft.parent if ft.acts_on == "parent" else ft.child,
+        gain=outcome.estimate.gain.tolist(),
+        fitted_gain=found.estimate.gain.tolist(),
+        secondary=None if secondary is None else secondary.tolist(),
+        temperature_gain=None if k is None else k.tolist(),
+        reference_temperature=outcome.reference_temperature,
+        offsets=[
+            Offset(
+                recording=segment.recording,
+                start=segment.start,
+                stop=segment.stop,
+                offset=segment.offset.tolist(),
+                sd=segment.sd.tolist(),
+            )
+            for segment in segment_offsets(tiles, outcome.estimate, found.noise)
+        ],
+        covariance=found.estimate.covariance.tolist(),
+        noise_sd=found.noise.sd.tolist(),
+        inefficiency=found.noise.inefficiency.tolist(),
+        prior=Prior(
+            name=workbench.name,
+            gain=workbench.gain.tolist(),
+            full_scale=workbench.full_scale.tolist(),
+            form="lambda" if found.kappa is None else "kappa",
+            strength=float(strength or 0.0),
+            chosen_by="job" if found.choice is None else "blocked cross-validation",
+        ),
+        verdicts=[
+            AxisVerdict(axis=v.axis, verdict=v.word, reason=v.reason) for v in outcome.verdicts
+        ],
+        health=[
+            HealthFinding(
+                recording=recording,
+                kind=f.kind,
+                signal=f.signal,
+                start=f.start,
+                stop=f.stop,
+                cut=f.cut,
+                message=f.message,
+            )
+            for recording, f in outcome.findings
+        ],
+    )
+
+
+def provenance(job: Job, robot: Robot, recordings: Sequence[Recording]) -> Provenance:
+    """Return what went in and what computed."""
+    inputs = [Input(role="job", path=job.file.name, sha256=job.digest)]
+    inputs.append(Input(role="robot", path=str(job.robot), sha256=robot.digest))
+    for sensor in job.sensors:
+        if sensor.workbench is not None:
+            text = job.path(sensor.workbench).read_bytes()
+            digest = hashlib.sha256(text).hexdigest()
+            inputs.append(Input(role="workbench", path=str(sensor.workbench), sha256=digest))
+    for section, recording in zip(job.recordings, recordings, strict=True):
+        inputs.append(Input(role="recording", path=str(section.log), sha256=recording.digest))
+    return Provenance(
+        ftcal=__version__,
+        python=platform.python_version(),
+        numpy=np.__version__,
+        created=datetime.now(UTC).isoformat(timespec="seconds"),
+        inputs=inputs,
+    )

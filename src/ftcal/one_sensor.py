@@ -1,0 +1,236 @@
+"""One sensor, start to end: pair, fit, hold out, judge, and put refused axes back.
+
+Each step is a room of its own (`pairing`, `fit`, `validate`, `verdict`); here they meet.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ftcal.config import Job, RecordingSection
+from ftcal.errors import DataError
+from ftcal.fit import Fit, FitOptions, fit
+from ftcal.folds import Cell, Pool, about_zero, blocked_folds, by_segment, cells
+from ftcal.moments import within
+from ftcal.offset import InSituOffset, in_situ_offset
+from ftcal.pairing import FtChannel, Paired, Windows, apart, pair
+from ftcal.recording import Finding, Recording
+from ftcal.ridge import Estimate
+from ftcal.robot import FtSensor, Robot
+from ftcal.samples import Samples
+from ftcal.sensor import Workbench
+from ftcal.validate import HeldOut, Scores, held_out, score
+from ftcal.verdict import Verdict, judge
+
+
+@dataclass(frozen=True, slots=True)
+class SensorOutcome:
+    """Everything found out about one sensor."""
+
+    sensor: FtSensor
+    channel: FtChannel
+    paired: tuple[Paired, ...]
+    """One per recording that carries the sensor, in the order of the job."""
+    training: tuple[Samples, ...]
+    """Offset segments trained on."""
+    test: tuple[Samples, ...]
+    """Offset segments held out by the job."""
+    fit: Fit
+    in_situ: tuple[InSituOffset, ...]
+    """Raw offset of every training segment, with `offset = "in situ"`."""
+    hold_out: Scores | None
+    """Scores on the job's test windows; None where it names none."""
+    k_fold: Scores | None
+    """Scores of blocked K-fold over the training data; None where there is too little of it."""
+    reference_temperature: float
+    """T_ref [degree Celsius] of the temperature term."""
+    verdicts: tuple[Verdict, ...]
+    estimate: Estimate
+    """The fitted estimate with refused rows put back to the Workbench: what is deployed."""
+    findings: tuple[tuple[str, Finding], ...]
+    """Recording and finding, for every finding of the sensor's own signals."""
+
+    @property
+    def scores(self) -> Scores | None:
+        """What the verdicts rest on: the hold-out where there is one."""
+        return self.hold_out or self.k_fold
+
+
+def calibrate_sensor(
+    job: Job,
+    robot: Robot,
+    channel: FtChannel,
+    recordings: Sequence[Recording],
+    findings: Sequence[Sequence[Finding]],
+) -> SensorOutcome:
+    """Return everything about one sensor.
+
+    Raises `DataError` where no training window holds a usable sample, or where the in situ offset
+    is asked for and its assumption fails.
+    """
+    in_situ = job.fit.offset == "in situ"
+    reference = reference_temperature(channel, recordings)
+    paired: list[Paired] = []
+    training: list[Samples] = []
+    fitted: list[Samples] = []
+    test: list[Samples] = []
+    offsets: list[InSituOffset] = []
+    for section, recording, found in zip(job.recordings, recordings, findings, strict=True):
+        both = pair(
+            recording,
+            robot,
+            channel,
+            section.schedule(),
+            gravity=section.gravity,
+            imu=section.imu,
+            findings=found,
+            reference_temperature=reference,
+            options=job.signals.options(),
+            with_attitude=in_situ,
+        )
+        train, held = split(section, both, job.signals.smoothing)
+        if in_situ:
+            taken = [raw_offset(both, segment, channel) for segment in train]
+            fitted += [
+                replace(segment, channels=segment.channels - offset.offset)
+                for segment, offset in zip(train, taken, strict=True)
+            ]
+            offsets += taken
+        else:
+            fitted += train
+        paired.append(both)
+        training += train
+        test += held
+    if not training:
+        raise DataError(
+            f"sensor {channel.sensor!r}: no usable sample in any training window; widen `train`"
+        )
+    pool: Pool = about_zero if in_situ else within
+    tiles = cells(fitted, job.signals.smoothing)
+    options = job.fit.options()
+    result = fit(tiles, channel.workbench, options, pool)
+    trained = np.concatenate([segment.wrench for segment in training])
+    pieces = [held_out(s, result.estimate.coefficients, channel.workbench) for s in test]
+    hold_out = score("hold-out", pieces, trained) if pieces else None
+    k_fold = validate_by_folds(tiles, channel.workbench, options, pool)
+    verdicts = judge(result.excitation, hold_out or k_fold)
+    mine = {channel.signal, channel.temperature}
+    return SensorOutcome(
+        robot.sensor(channel.sensor),
+        channel,
+        tuple(paired),
+        tuple(training),
+        tuple(test),
+        result,
+        tuple(offsets),
+        hold_out,
+        k_fold,
+        reference,
+        verdicts,
+        deployed(result.estimate, channel.workbench, verdicts),
+        tuple(
+            (recording.name, finding)
+            for recording, found in zip(recordings, findings, strict=True)
+            for finding in found
+            if finding.signal in mine
+        ),
+    )
+
+
+def reference_temperature(channel: FtChannel, recordings: Sequence[Recording]) -> float:
+    """Return T_ref [degree Celsius]: the mean over all recordings, zero where none is logged."""
+    if channel.temperature is None:
+        return 0.0
+    logged = [recording.temperature(channel.temperature).values for recording in recordings]
+    return float(np.concatenate(logged).mean())
+
+
+def split(
+    section: RecordingSection, both: Paired, smoothing: float
+) -> tuple[list[Samples], list[Samples]]:
+    """Return the training and the held-out segments of one recording.
+
+    Held-out windows give up what lies within one smoothing window of a training window.
+    """
+    everything: Windows = [(both.samples.start, np.nextafter(both.samples.stop, np.inf))]
+    train: Windows = section.train if section.train is not None else everything
+    if section.train is None and section.test:
+        train = []
+    return both.windows(train), both.windows(apart(section.test, train, smoothing))
+
+
+def raw_offset(both: Paired, segment: Samples, channel: FtChannel) -> InSituOffset:
+    """Return the in situ offset of a segment.
+
+    Raises `DataError` with the figure where the assumption of a constant centre of mass fails.
+    """
+    if both.attitude is None:
+        raise ValueError("pair the recording with its attitude")
+    first, last = np.searchsorted(both.samples.time, [segment.time[0], segment.time[-1]])
+    rows = slice(int(first), int(last) + 1)
+    offset = in_situ_offset(
+        segment.channels,
+        both.attitude.gravity[rows],
+        both.attitude.centre_of_mass[rows],
+        channel.workbench.scaling,
+    )
+    if offset.refusal:
+        raise DataError(
+            f'in situ offset of {segment.label} refused: {offset.refusal}; use offset = "centred"'
+        )
+    return offset
+
+
+def validate_by_folds(
+    tiles: Sequence[Cell], workbench: Workbench, options: FitOptions, pool: Pool
+) -> Scores | None:
+    """Return the scores of blocked K-fold: each block read by a fit that never saw it.
+
+    The prior's strength is chosen anew inside every fold (nested). None where the data are too
+    short for the folds.
+    """
+    try:
+        folds = blocked_folds(tiles, options.folds)
+    except DataError:
+        return None
+    pieces: list[HeldOut] = []
+    for fold in folds:
+        inner = replace(options, folds=max(2, min(options.folds, len(fold.train) // 2)))
+        try:
+            estimate = fit(fold.train, workbench, inner, pool).estimate
+        except DataError:
+            return None
+        for group in by_segment(fold.held):
+            merged = merge([cell.samples for cell in group])
+            pieces.append(held_out(merged, estimate.coefficients, workbench))
+    trained = np.concatenate([cell.samples.wrench for cell in tiles])
+    return score(f"{options.folds}-fold", pieces, trained)
+
+
+def merge(parts: Sequence[Samples]) -> Samples:
+    """Return neighbouring pieces of one segment as one."""
+    first, last = parts[0], parts[-1]
+    warm = [part.temperature for part in parts if part.temperature is not None]
+    return Samples(
+        first.recording,
+        first.start,
+        last.stop,
+        np.concatenate([part.time for part in parts]),
+        np.concatenate([part.channels for part in parts]),
+        np.concatenate([part.wrench for part in parts]),
+        np.concatenate(warm) if warm else None,
+    )
+
+
+def deployed(estimate: Estimate, workbench: Workbench, verdicts: Sequence[Verdict]) -> Estimate:
+    """Return the estimate with every refused row put back to the Workbench's."""
+    use = np.array([verdict.use for verdict in verdicts])
+    k = estimate.temperature_gain
+    return Estimate(
+        np.where(use[:, None], estimate.gain, workbench.gain),
+        None if k is None else np.where(use, k, 0.0),
+        np.where(use[:, None, None], estimate.covariance, 0.0),
+    )

@@ -1,0 +1,109 @@
+"""The whole method on one page: logs → samples → fit → validation → calibration.
+
+`calibrate(job)` is what `ftcal calibrate` runs; `report.write_outcome` puts its outcome on disk.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from ftcal import logs
+from ftcal.calibration import Calibration
+from ftcal.config import Job, SensorSection
+from ftcal.errors import JobError
+from ftcal.evidence import provenance, sensor_calibration
+from ftcal.health import examine
+from ftcal.one_sensor import SensorOutcome, calibrate_sensor
+from ftcal.pairing import FtChannel
+from ftcal.recording import Finding, Recording
+from ftcal.robot import Robot
+from ftcal.urdf import read_robot
+from ftcal.workbench import read_workbench
+
+Progress = Callable[[str, int, int], None]
+"""Called with what is being done, how many pieces are done and how many there are."""
+
+
+def silent(stage: str, done: int, total: int) -> None:
+    """Show no progress."""
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """What one job gave."""
+
+    job: Job
+    robot: Robot
+    recordings: tuple[Recording, ...]
+    findings: tuple[tuple[str, Finding], ...]
+    """Recording and finding, in order."""
+    sensors: tuple[SensorOutcome, ...]
+    calibration: Calibration
+
+    @property
+    def improved(self) -> bool:
+        """Whether any axis of any sensor beats its Workbench on held-out samples."""
+        return any(verdict.use for sensor in self.sensors for verdict in sensor.verdicts)
+
+
+def calibrate(job: Job, *, progress: Progress = silent) -> Outcome:
+    """Return the calibration of every sensor of the job.
+
+    Raises `FtcalError` with one line that a user can act on; nothing is written.
+    """
+    robot = read_robot(job.path(job.robot))
+    channels = [ft_channel(job, robot, section) for section in job.sensors]
+    check_contacts(job, robot, channels)
+    recordings, findings = read_recordings(job, channels, progress)
+    outcomes = []
+    steps = len(channels)
+    for number, channel in enumerate(channels):
+        progress("calibrating", number, steps)
+        outcomes.append(calibrate_sensor(job, robot, channel, recordings, findings))
+    progress("calibrating", steps, steps)
+    flat = tuple((r.name, f) for r, found in zip(recordings, findings, strict=True) for f in found)
+    calibration = Calibration(
+        robot=robot.name,
+        sensors=[sensor_calibration(job, outcome) for outcome in outcomes],
+        provenance=provenance(job, robot, recordings),
+    )
+    return Outcome(job, robot, tuple(recordings), flat, tuple(outcomes), calibration)
+
+
+def ft_channel(job: Job, robot: Robot, section: SensorSection) -> FtChannel:
+    """Return a sensor of the job with its Workbench; raises `RobotError` or `SensorError`."""
+    robot.sensor(section.name)
+    workbench = read_workbench(
+        None if section.workbench is None else job.path(section.workbench),
+        full_scale=section.full_scale,
+        logged=section.logged,
+    )
+    return FtChannel(section.name, section.signal, workbench, section.temperature)
+
+
+def check_contacts(job: Job, robot: Robot, channels: Sequence[FtChannel]) -> None:
+    """Raise `RobotError` early where a contact is unknown or a sensor's free half is massless."""
+    for section in job.recordings:
+        for link in section.schedule().links:
+            for channel in channels:
+                robot.required_joints(channel.sensor, link)
+
+
+def read_recordings(
+    job: Job, channels: Sequence[FtChannel], progress: Progress
+) -> tuple[list[Recording], list[tuple[Finding, ...]]]:
+    """Return the recordings of the job and what is wrong with each."""
+    recordings, findings = [], []
+    total = len(job.recordings)
+    for number, section in enumerate(job.recordings):
+        progress("reading", number, total)
+        path = job.path(section.log)
+        if not path.exists():
+            raise JobError(f"{job.file}: no log at {section.log}; paths are relative to the job")
+        recording = logs.read(path, section.layout(), name=section.label)
+        sensors = {c.signal: c.workbench.firmware for c in channels}
+        recordings.append(recording)
+        findings.append((*recording.findings, *examine(recording, sensors=sensors)))
+    progress("reading", total, total)
+    return recordings, findings

@@ -1,0 +1,209 @@
+"""Judging a calibration on samples it never saw, against the Workbench matrix.
+
+Every held-out piece is re-aligned first: both matrices get the offset that fits the piece best, as
+the paper's first validation does. Residuals are sensor minus model.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ftcal.samples import Samples
+from ftcal.sensor import AXES, UNITS, Workbench
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+    from numpy import ndarray as Array
+
+BLOCK = 2.0
+"""Length [s] of the blocks that the bootstrap resamples: longer than the smoothing remembers."""
+
+RESAMPLES = 2000
+"""Bootstrap resamples: the ends of a 90 % interval then move by about 1 % of its width."""
+
+GROUPS: dict[str, slice] = {
+    **{axis: slice(i, i + 1) for i, axis in enumerate(AXES)},
+    "force": slice(0, 3),
+    "torque": slice(3, 6),
+}
+"""What is scored: every axis, and force and torque together."""
+
+
+@dataclass(frozen=True, slots=True)
+class HeldOut:
+    """A piece of a recording read by both matrices, each aligned to the model's mean."""
+
+    recording: str
+    start: float
+    stop: float
+    time: Float[Array, "N"]
+    """Seconds since the start of the recording."""
+    model: Float[Array, "N 6"]
+    """Model wrench [N, Nm]."""
+    workbench: Float[Array, "N 6"]
+    """What the Workbench matrix reads [N, Nm]."""
+    in_situ: Float[Array, "N 6"]
+    """What the new matrix reads [N, Nm]."""
+
+
+def held_out(samples: Samples, coefficients: Float[Array, "6 P"], workbench: Workbench) -> HeldOut:
+    """Return `samples` read by `coefficients` (`[C, k]`) and by the Workbench matrix."""
+    inputs = samples.rows()[:, :-6]
+
+    def read(gain: Float[Array, "6 P"]) -> Float[Array, "N 6"]:
+        wrench = inputs[:, : gain.shape[1]] @ gain.T
+        return np.asarray(wrench + (samples.wrench - wrench).mean(axis=0))
+
+    return HeldOut(
+        samples.recording,
+        samples.start,
+        samples.stop,
+        samples.time,
+        samples.wrench,
+        read(workbench.gain),
+        read(coefficients),
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Score:
+    """How one axis, or force or torque together, does on held-out samples."""
+
+    name: str
+    """Axis, `force` or `torque`."""
+    unit: str
+    rms: float
+    """RMS residual of the new matrix [N or Nm]; of several axes, of the vector's length."""
+    workbench_rms: float
+    """RMS residual of the Workbench matrix [N or Nm]."""
+    percent: float
+    """`rms` in percent of `workbench_rms`."""
+    interval: tuple[float, float]
+    """90 % block-bootstrap interval of `percent`; (0, inf) with fewer than three blocks."""
+    percent_absolute: float
+    """The paper's norm: `sum |e|` in percent of the Workbench's."""
+    amplitude: float
+    """RMS of the new reading about its mean over the Workbench's: 0 is a vanished sensor."""
+    trained: tuple[float, float]
+    """Smallest and largest model wrench in training (magnitude for force and torque) [N or Nm]."""
+    tested: tuple[float, float]
+    """The same on the held-out samples."""
+    beyond: float
+    """Share of the held-out samples that lie outside `trained`."""
+
+
+@dataclass(frozen=True, slots=True)
+class Scores:
+    """All scores of one validation."""
+
+    kind: str
+    """`hold-out` or `5-fold`, as tables call it."""
+    pieces: tuple[HeldOut, ...]
+    by_name: dict[str, Score]
+    """Keyed by axis, `force` and `torque`."""
+    samples: int
+    seconds: float
+    """Length of the held-out pieces together."""
+    blocks: int
+    """Blocks that the bootstrap resampled."""
+
+
+def magnitude(values: Float[Array, "N D"]) -> Float[Array, "N"]:
+    """Return one column as it is, the length of several."""
+    return np.asarray(values[:, 0] if values.shape[1] == 1 else np.linalg.norm(values, axis=1))
+
+
+def block_sums(
+    pieces: Sequence[HeldOut], block: float
+) -> tuple[Float[Array, "B 6"], Float[Array, "B 6"]]:
+    """Return the sums of squared residuals per block in time: new matrix, Workbench."""
+    new: list[Array] = []
+    old: list[Array] = []
+    for piece in pieces:
+        if not len(piece.time):
+            continue
+        span = piece.time[-1] - piece.time[0]
+        count = max(1, round(span / block))
+        width = max(span / count, np.finfo(float).tiny)
+        index = np.minimum(((piece.time - piece.time[0]) / width).astype(int), count - 1)
+        for into, reading in ((new, piece.in_situ), (old, piece.workbench)):
+            sums = np.zeros((count, 6))
+            np.add.at(sums, index, (reading - piece.model) ** 2)
+            into.append(sums)
+    return np.concatenate(new), np.concatenate(old)
+
+
+def bootstrap_interval(
+    new: Float[Array, "B"], old: Float[Array, "B"], generator: np.random.Generator
+) -> tuple[float, float]:
+    """Return the 90 % interval of `100 sqrt(sum new / sum old)` over resampled blocks.
+
+    B. Efron, R. Tibshirani, *An Introduction to the Bootstrap*, 1993, section 13.3 (percentile),
+    blocks as in section 8.6. Fewer than three blocks say nothing: (0, inf).
+    """
+    blocks = len(new)
+    if blocks < 3:
+        return (0.0, float("inf"))
+    weights = generator.multinomial(blocks, np.full(blocks, 1.0 / blocks), size=RESAMPLES)
+    ratio = np.sqrt((weights @ new) / np.maximum(weights @ old, np.finfo(float).tiny))
+    low, high = np.quantile(ratio, [0.05, 0.95])
+    return (100.0 * float(low), 100.0 * float(high))
+
+
+def score(
+    kind: str,
+    pieces: Sequence[HeldOut],
+    trained: Float[Array, "N 6"],
+    *,
+    block: float = BLOCK,
+    seed: int = 0,
+) -> Scores:
+    """Return the scores of held-out `pieces`; `trained` is the model wrench of training.
+
+    The seed makes the bootstrap repeatable: two runs on the same data print the same interval.
+    """
+    new, old = block_sums(pieces, block)
+    model = np.concatenate([piece.model for piece in pieces])
+    readings = [(piece.in_situ, piece.workbench, piece.model) for piece in pieces]
+    table = {}
+    for name, columns in GROUPS.items():
+        squares = new[:, columns].sum(axis=1), old[:, columns].sum(axis=1)
+        rms, workbench_rms = (float(np.sqrt(s.sum() / len(model))) for s in squares)
+        absolute = [
+            sum(float(np.abs(r[which] - r[2])[:, columns].sum()) for r in readings)
+            for which in (0, 1)
+        ]
+        spread = [
+            sum(
+                float(((r[which] - r[which].mean(axis=0))[:, columns] ** 2).sum()) for r in readings
+            )
+            for which in (0, 1)
+        ]
+        seen, met = magnitude(trained[:, columns]), magnitude(model[:, columns])
+        envelope = float(seen.min()), float(seen.max())
+        table[name] = Score(
+            name,
+            UNITS[columns.start],
+            rms,
+            workbench_rms,
+            percentage(rms, workbench_rms),
+            bootstrap_interval(*squares, np.random.default_rng(seed)),
+            percentage(*absolute),
+            float(np.sqrt(spread[0] / spread[1])) if spread[1] > 0 else float("inf"),
+            envelope,
+            (float(met.min()), float(met.max())),
+            float(np.mean((met < envelope[0]) | (met > envelope[1]))),
+        )
+    seconds = sum(float(p.time[-1] - p.time[0]) for p in pieces if len(p.time))
+    return Scores(kind, tuple(pieces), table, len(model), seconds, len(new))
+
+
+def percentage(value: float, reference: float) -> float:
+    """Return `value` in percent of `reference`; infinite where the reference is perfect."""
+    if reference > 0:
+        return 100.0 * value / reference
+    return 100.0 if value == 0 else float("inf")

@@ -1,0 +1,94 @@
+"""May the new matrix be trusted? One verdict per axis, with its reason.
+
+* ACCEPT: the data moved in every direction, and held-out samples say the axis is better.
+* PARTIAL: better on held-out samples, but named directions rest on the prior alone.
+* REFUSE: the axis keeps its Workbench row.
+
+What the data cannot say comes first: cross-validation does not see it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+from ftcal.excitation import Excitation
+from ftcal.sensor import AXES
+from ftcal.validate import Scores
+
+Word = Literal["ACCEPT", "PARTIAL", "REFUSE"]
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """What to do with one axis."""
+
+    axis: str
+    word: Word
+    reason: str
+    """One line a person can act on."""
+
+    @property
+    def use(self) -> bool:
+        """Whether the new row goes into the calibration."""
+        return self.word != "REFUSE"
+
+
+def identifiable(excitation: Excitation, axis: int) -> Verdict:
+    """Return what the training data alone can say about an axis, before any error is looked at."""
+    name = AXES[axis]
+    if excitation.rank == 0:
+        return Verdict(name, "REFUSE", "nothing moved: no direction of the channels is excited")
+    if excitation.scale_is_free:
+        return Verdict(
+            name,
+            "REFUSE",
+            f"scale gauge: the model wrench varies by {100 * excitation.amplitude:.1f} % of the"
+            " Workbench's reading, so C -> 0 would fit it; record a motion that turns the free"
+            " half in gravity, or a known weight",
+        )
+    parts = []
+    if excitation.unexcited:
+        count = len(excitation.unexcited)
+        words = ", ".join(direction.words for direction in excitation.unexcited)
+        parts.append(f"{count} direction{'s' * (count > 1)} not excited: {words}")
+    if weak := excitation.weak(axis):
+        parts.append(f"prior outweighs the data along {', '.join(d.words for d in weak)}")
+    if parts:
+        return Verdict(name, "PARTIAL", "; ".join(parts))
+    return Verdict(name, "ACCEPT", "the data speak in every direction")
+
+
+def judge(excitation: Excitation, scores: Scores | None) -> tuple[Verdict, ...]:
+    """Return the verdict on every axis from what could be known and from held-out samples."""
+    verdicts = []
+    for axis, name in enumerate(AXES):
+        known = identifiable(excitation, axis)
+        if known.word == "REFUSE":
+            verdicts.append(known)
+            continue
+        if scores is None:
+            verdicts.append(
+                Verdict(name, "REFUSE", "not validated: too little data to hold any out")
+            )
+            continue
+        score = scores.by_name[name]
+        low, high = score.interval
+        figure = f"{score.percent:.0f} % of Workbench on {scores.kind} [{low:.0f}, {high:.0f}]"
+        if not high < 100.0:
+            why = "no better" if low < 100.0 else "worse"
+            verdicts.append(Verdict(name, "REFUSE", f"{why} than the Workbench: {figure}"))
+        elif known.word == "PARTIAL":
+            verdicts.append(Verdict(name, "PARTIAL", f"{figure}; {known.reason}"))
+        else:
+            verdicts.append(Verdict(name, "ACCEPT", figure))
+    return tuple(verdicts)
+
+
+def overall(verdicts: Sequence[Verdict]) -> Word:
+    """Return ACCEPT where every axis is, REFUSE where every axis is, PARTIAL between."""
+    words = {verdict.word for verdict in verdicts}
+    if len(words) == 1:
+        return words.pop()
+    return "PARTIAL"
