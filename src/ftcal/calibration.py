@@ -11,7 +11,7 @@ import json
 import os
 import tempfile
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, ValidationError
@@ -19,8 +19,9 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from ftcal.errors import OutputError, SensorError, unknown
 from ftcal.sensor import SensorModel, Workbench
 
-FORMAT = "ftcal-calibration"
-VERSION = 1
+if TYPE_CHECKING:
+    from jaxtyping import Float
+    from numpy import ndarray as Array
 
 Row = list[float]
 Matrix = list[Row]
@@ -118,6 +119,8 @@ class SensorCalibration(Record):
     """Frame that expresses the wrench: a link, or `SENSOR (origin)` of the URDF's sensor tag."""
     acts_on: str
     """Link on which the measured wrench acts."""
+    temperature_signal: str | None
+    """Signal with the sensor's temperature, if any."""
     gain: Matrix
     """C to deploy, six rows of K; refused axes keep the Workbench row."""
     fitted_gain: Matrix
@@ -131,6 +134,8 @@ class SensorCalibration(Record):
     offsets: list[Offset]
     covariance: list[Matrix]
     """Posterior covariance of each row of the fitted `[C, k]`."""
+    envelope: dict[str, tuple[float, float]]
+    """Smallest and largest load that training saw, per axis and of force and torque [N, Nm]."""
     noise_sd: Row
     """Residual standard deviation [N, Nm]."""
     inefficiency: Row
@@ -138,6 +143,14 @@ class SensorCalibration(Record):
     prior: Prior
     verdicts: list[AxisVerdict]
     health: list[HealthFinding]
+
+    @property
+    def coefficients(self) -> Float[Array, "6 P"]:
+        """`[C, k]` as deployed."""
+        gain = np.array(self.gain)
+        if self.temperature_gain is None:
+            return gain
+        return np.column_stack([gain, self.temperature_gain])
 
     def workbench(self) -> Workbench:
         """Return the prior as a Workbench."""

@@ -28,6 +28,7 @@ from ftcal.pairing import SignalOptions
 Window = Annotated[tuple[float, float], Field(description="[start, stop) in seconds")]
 Six = Annotated[tuple[float, float, float, float, float, float], Field()]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Three = tuple[float, float, float]
 
 
@@ -171,7 +172,7 @@ class FitSection(Section):
 
     kappa: Positive | Literal["auto"] | None = None
     """Scaled prior: expected bend of the secondary matrix, fraction of full scale."""
-    penalty: Annotated[float, Field(ge=0, allow_inf_nan=False, alias="lambda")] | None = None
+    penalty: NotNegative | None = Field(default=None, alias="lambda")
     """The paper's lambda instead (0 is plain least squares)."""
     offset: Literal["centred", "in situ"] = "centred"
     """How the offset leaves the regression."""

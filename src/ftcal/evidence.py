@@ -39,6 +39,7 @@ def sensor_calibration(job: Job, outcome: SensorOutcome) -> SensorCalibration:
     return SensorCalibration(
         sensor=ft.name,
         signal=channel.signal,
+        temperature_signal=channel.temperature,
         logged=workbench.logged,
         frame=frames[ft.frame],
         acts_on=ft.parent if ft.acts_on == "parent" else ft.child,
@@ -58,6 +59,7 @@ def sensor_calibration(job: Job, outcome: SensorOutcome) -> SensorCalibration:
             for segment in segment_offsets(tiles, outcome.estimate, found.noise)
         ],
         covariance=found.estimate.covariance.tolist(),
+        envelope=outcome.envelope,
         noise_sd=found.noise.sd.tolist(),
         inefficiency=found.noise.inefficiency.tolist(),
         prior=Prior(

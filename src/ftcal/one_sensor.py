@@ -22,7 +22,7 @@ from ftcal.ridge import Estimate
 from ftcal.robot import FtSensor, Robot
 from ftcal.samples import Samples
 from ftcal.sensor import Workbench
-from ftcal.validate import HeldOut, Scores, held_out, score
+from ftcal.validate import Envelope, HeldOut, Scores, held_out, load_envelope, score
 from ftcal.verdict import Verdict, judge
 
 
@@ -41,6 +41,8 @@ class SensorOutcome:
     fit: Fit
     in_situ: tuple[InSituOffset, ...]
     """Raw offset of every training segment, with `offset = "in situ"`."""
+    envelope: Envelope
+    """Loads that training saw."""
     hold_out: Scores | None
     """Scores on the job's test windows; None where it names none."""
     k_fold: Scores | None
@@ -79,18 +81,7 @@ def calibrate_sensor(
     test: list[Samples] = []
     offsets: list[InSituOffset] = []
     for section, recording, found in zip(job.recordings, recordings, findings, strict=True):
-        both = pair(
-            recording,
-            robot,
-            channel,
-            section.schedule(),
-            gravity=section.gravity,
-            imu=section.imu,
-            findings=found,
-            reference_temperature=reference,
-            options=job.signals.options(),
-            with_attitude=in_situ,
-        )
+        both = pair_recording(job, robot, channel, section, recording, found, reference)
         train, held = split(section, both, job.signals.smoothing)
         if in_situ:
             taken = [raw_offset(both, segment, channel) for segment in train]
@@ -112,7 +103,7 @@ def calibrate_sensor(
     tiles = cells(fitted, job.signals.smoothing)
     options = job.fit.options()
     result = fit(tiles, channel.workbench, options, pool)
-    trained = np.concatenate([segment.wrench for segment in training])
+    trained = load_envelope(np.concatenate([segment.wrench for segment in training]))
     pieces = [held_out(s, result.estimate.coefficients, channel.workbench) for s in test]
     hold_out = score("hold-out", pieces, trained) if pieces else None
     k_fold = validate_by_folds(tiles, channel.workbench, options, pool)
@@ -126,6 +117,7 @@ def calibrate_sensor(
         tuple(test),
         result,
         tuple(offsets),
+        trained,
         hold_out,
         k_fold,
         reference,
@@ -137,6 +129,30 @@ def calibrate_sensor(
             for finding in found
             if finding.signal in mine
         ),
+    )
+
+
+def pair_recording(
+    job: Job,
+    robot: Robot,
+    channel: FtChannel,
+    section: RecordingSection,
+    recording: Recording,
+    findings: Sequence[Finding],
+    reference_temperature: float,
+) -> Paired:
+    """Return the usable samples of one sensor in one recording of the job."""
+    return pair(
+        recording,
+        robot,
+        channel,
+        section.schedule(),
+        gravity=section.gravity,
+        imu=section.imu,
+        findings=findings,
+        reference_temperature=reference_temperature,
+        options=job.signals.options(),
+        with_attitude=job.fit.offset == "in situ",
     )
 
 
@@ -206,7 +222,7 @@ def validate_by_folds(
         for group in by_segment(fold.held):
             merged = merge([cell.samples for cell in group])
             pieces.append(held_out(merged, estimate.coefficients, workbench))
-    trained = np.concatenate([cell.samples.wrench for cell in tiles])
+    trained = load_envelope(np.concatenate([cell.samples.wrench for cell in tiles]))
     return score(f"{options.folds}-fold", pieces, trained)
 
 

@@ -8,17 +8,20 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from ftcal import logs
 from ftcal.calibration import Calibration
 from ftcal.config import Job, SensorSection
-from ftcal.errors import JobError
+from ftcal.errors import DataError, JobError
 from ftcal.evidence import provenance, sensor_calibration
 from ftcal.health import examine
-from ftcal.one_sensor import SensorOutcome, calibrate_sensor
+from ftcal.one_sensor import SensorOutcome, calibrate_sensor, pair_recording
 from ftcal.pairing import FtChannel
 from ftcal.recording import Finding, Recording
 from ftcal.robot import Robot
 from ftcal.urdf import read_robot
+from ftcal.validate import Scores, held_out, score
 from ftcal.workbench import read_workbench
 
 Progress = Callable[[str, int, int], None]
@@ -107,3 +110,41 @@ def read_recordings(
         findings.append((*recording.findings, *examine(recording, sensors=sensors)))
     progress("reading", total, total)
     return recordings, findings
+
+
+def score_calibration(
+    calibration: Calibration, job: Job, *, progress: Progress = silent
+) -> dict[str, Scores]:
+    """Return how a finished calibration does on the recordings of a job, by sensor.
+
+    Test windows count; a recording without any counts whole. Sensors of the job that were not
+    calibrated are a `SensorError`.
+    """
+    robot = read_robot(job.path(job.robot))
+    channels = [calibrated_channel(calibration, section) for section in job.sensors]
+    check_contacts(job, robot, channels)
+    recordings, findings = read_recordings(job, channels, progress)
+    scores = {}
+    for channel in channels:
+        known = calibration.sensor(channel.sensor)
+        coefficients = known.coefficients
+        pieces = []
+        for section, recording, found in zip(job.recordings, recordings, findings, strict=True):
+            both = pair_recording(
+                job, robot, channel, section, recording, found, known.reference_temperature
+            )
+            whole = ((-np.inf, np.inf),)
+            pieces += [
+                held_out(samples, coefficients, channel.workbench)
+                for samples in both.windows(section.test or whole)
+            ]
+        if not pieces:
+            raise DataError(f"sensor {channel.sensor!r}: no usable sample in any test window")
+        scores[channel.sensor] = score("validation", pieces, known.envelope)
+    return scores
+
+
+def calibrated_channel(calibration: Calibration, section: SensorSection) -> FtChannel:
+    """Return a sensor of the job as its calibration knows it."""
+    known = calibration.sensor(section.name)
+    return FtChannel(section.name, section.signal, known.workbench(), section.temperature)

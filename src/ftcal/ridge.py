@@ -124,9 +124,8 @@ def penalty_path(
         inverse = np.linalg.pinv(S_rr + mu[0] * np.eye(channels), hermitian=True)
         sandwich = inverse @ S_rr @ inverse
         covariance = np.zeros((6, width - 6, width - 6))
-        covariance[:, :channels, :channels] = (
-            np.diag(residual)[:, None, None] / max(moments.count, 1) * sandwich
-        )
+        variance = np.maximum(np.diag(residual), 0.0) / max(moments.count, 1)
+        covariance[:, :channels, :channels] = variance[:, None, None] * sandwich
         estimates.append(Estimate(gain, k, covariance))
     return estimates
 

@@ -154,15 +154,25 @@ def bootstrap_interval(
     return (100.0 * float(low), 100.0 * float(high))
 
 
+Envelope = dict[str, tuple[float, float]]
+"""Smallest and largest load of each of `GROUPS` [N, Nm]."""
+
+
+def load_envelope(wrench: Float[Array, "N 6"]) -> Envelope:
+    """Return the range of each axis of a model wrench, and of force and torque in magnitude."""
+    ranges = {name: magnitude(wrench[:, columns]) for name, columns in GROUPS.items()}
+    return {name: (float(load.min()), float(load.max())) for name, load in ranges.items()}
+
+
 def score(
     kind: str,
     pieces: Sequence[HeldOut],
-    trained: Float[Array, "N 6"],
+    trained: Envelope,
     *,
     block: float = BLOCK,
     seed: int = 0,
 ) -> Scores:
-    """Return the scores of held-out `pieces`; `trained` is the model wrench of training.
+    """Return the scores of held-out `pieces`; `trained` is the load envelope of training.
 
     The seed makes the bootstrap repeatable: two runs on the same data print the same interval.
     """
@@ -183,8 +193,8 @@ def score(
             )
             for which in (0, 1)
         ]
-        seen, met = magnitude(trained[:, columns]), magnitude(model[:, columns])
-        envelope = float(seen.min()), float(seen.max())
+        met = magnitude(model[:, columns])
+        low, high = trained[name]
         table[name] = Score(
             name,
             UNITS[columns.start],
@@ -194,9 +204,9 @@ def score(
             bootstrap_interval(*squares, np.random.default_rng(seed)),
             percentage(*absolute),
             float(np.sqrt(spread[0] / spread[1])) if spread[1] > 0 else float("inf"),
-            envelope,
+            (low, high),
             (float(met.min()), float(met.max())),
-            float(np.mean((met < envelope[0]) | (met > envelope[1]))),
+            float(np.mean((met < low) | (met > high))),
         )
     seconds = sum(float(p.time[-1] - p.time[0]) for p in pieces if len(p.time))
     return Scores(kind, tuple(pieces), table, len(model), seconds, len(new))

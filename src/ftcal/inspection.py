@@ -1,0 +1,60 @@
+"""What `ftcal inspect --json` prints: a log's contents as plain records."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import asdict
+from typing import Any
+
+from ftcal.recording import Finding, Recording, Signal
+from ftcal.robot import Robot
+
+
+def as_record(
+    recording: Recording, findings: Iterable[Finding], robot: Robot | None
+) -> dict[str, Any]:
+    """Return signals, findings and, with a robot, what of it is logged."""
+    kinds = {
+        "joints": recording.joints,
+        "channels": recording.channels,
+        "temperatures": recording.temperatures,
+        "imus": recording.imus,
+    }
+    record: dict[str, Any] = {
+        "name": recording.name,
+        "duration": recording.duration,
+        "sha256": recording.digest,
+        "signals": [
+            {"kind": kind, **described(recording, signal)}
+            for kind, signals in kinds.items()
+            for signal in signals
+        ],
+        "findings": [asdict(finding) for finding in findings],
+    }
+    if robot is not None:
+        logged = {column for signal in recording.joints for column in signal.columns}
+        record["robot"] = {
+            "name": robot.name,
+            "mass": robot.mass,
+            "sensors": list(robot.sensors),
+            "joints_logged": [joint for joint in robot.moving_joints if joint in logged],
+            "joints_missing": [joint for joint in robot.moving_joints if joint not in logged],
+            "columns_unknown": sorted(logged - set(robot.joints)),
+        }
+    return record
+
+
+def described(recording: Recording, signal: Signal) -> dict[str, Any]:
+    """Return name, size, rate [Hz], span [s] and ranges of one signal."""
+    seconds = recording.seconds(signal)
+    some = len(signal) > 0
+    return {
+        "name": signal.name,
+        "columns": list(signal.columns),
+        "samples": len(signal),
+        "rate": 1.0 / signal.period if len(signal) > 1 else None,
+        "start": float(seconds[0]) if some else None,
+        "stop": float(seconds[-1]) if some else None,
+        "least": signal.values.min(axis=0).tolist() if some else [],
+        "greatest": signal.values.max(axis=0).tolist() if some else [],
+    }

@@ -1,0 +1,195 @@
+"""What a person reads in a terminal of 100 columns: verdict tables, log contents, findings.
+
+Everything that comes from a log or a file is printed as text, never as markup.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import TYPE_CHECKING
+
+from rich.box import SIMPLE_HEAD
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from ftcal.recording import Finding, Recording, Signal
+from ftcal.robot import Robot
+from ftcal.sensor import AXES
+from ftcal.validate import Score, Scores
+from ftcal.verdict import Verdict, overall
+
+if TYPE_CHECKING:
+    from ftcal.one_sensor import SensorOutcome
+
+STYLES = {"ACCEPT": "bold green", "PARTIAL": "bold yellow", "REFUSE": "bold red"}
+MOST_FINDINGS = 12
+"""Findings listed; the report has them all."""
+
+
+def table(*headers: str, right: Iterable[int] = ()) -> Table:
+    """Return an empty table; columns in `right` hold numbers."""
+    made = Table(box=SIMPLE_HEAD, pad_edge=False, header_style="bold")
+    aligned = set(right)
+    for number, header in enumerate(headers):
+        made.add_column(header, justify="right" if number in aligned else "left")
+    return made
+
+
+def figures(score: Score) -> list[str]:
+    """Return the figures of one score as cells: error, interval, both RMS, amplitude."""
+    low, high = score.interval
+    interval = "-" if high == float("inf") else f"{low:.0f}-{high:.0f}"
+    return [
+        f"{score.percent:.0f} %",
+        interval,
+        f"{score.rms:.3g} {score.unit}",
+        f"{score.workbench_rms:.3g} {score.unit}",
+        f"{score.amplitude:.2f}",
+    ]
+
+
+def print_sensor(console: Console, outcome: SensorOutcome) -> None:
+    """Print the verdict, the table per axis and what the data could say of one sensor."""
+    word = overall(outcome.verdicts)
+    console.print(
+        Text.assemble((outcome.sensor.name, "bold"), "  ", (word, STYLES[word])),
+        Text(summary(outcome.verdicts)),
+    )
+    scores = outcome.scores
+    if scores is not None:
+        console.print(score_table(scores, outcome.verdicts))
+    found = outcome.fit
+    strength = (
+        f"lambda {found.penalty:g}"
+        if found.kappa is None
+        else f"kappa {found.kappa[0]:.3g}"
+        + ("" if found.choice is None else " (blocked cross-validation)")
+    )
+    seen = found.excitation
+    console.print(
+        f"{found.samples} samples, {min(found.independent):.0f} to {max(found.independent):.0f}"
+        f" independent; prior {strength}; {seen.rank} of {len(seen.directions)} directions excited"
+    )
+    for reason in reasons(outcome.verdicts):
+        console.print(Text(f"  {reason}"))
+    console.print()
+
+
+def summary(verdicts: Sequence[Verdict]) -> str:
+    """Return one line that says what to do: `use fy, fz, tx; keep the Workbench for fx, ty, tz`."""
+    use = [verdict.axis for verdict in verdicts if verdict.use]
+    keep = [verdict.axis for verdict in verdicts if not verdict.use]
+    if not keep:
+        return "use the new matrix on every axis"
+    if not use:
+        return "keep the Workbench matrix on every axis"
+    return f"use {', '.join(use)}; keep the Workbench for {', '.join(keep)}"
+
+
+def reasons(verdicts: Sequence[Verdict]) -> list[str]:
+    """Return the reasons of all verdicts, axes that share one named together."""
+    axes: dict[tuple[str, str], list[str]] = {}
+    for verdict in verdicts:
+        # the figure is in the table already
+        reason = verdict.reason.split("; ", 1)[-1] if verdict.word == "PARTIAL" else verdict.reason
+        axes.setdefault((verdict.word, reason), []).append(verdict.axis)
+    return [
+        f"{word} {', '.join(names)}: {reason}"
+        for (word, reason), names in axes.items()
+        if word != "ACCEPT"
+    ]
+
+
+def score_table(scores: Scores, verdicts: Sequence[Verdict] | None = None) -> Table:
+    """Return the scores of one validation, an axis a row."""
+    made = table(
+        scores.kind,
+        "verdict",
+        "error",
+        "90 %",
+        "RMS in situ",
+        "Workbench",
+        "amplitude",
+        "beyond",
+        right=range(2, 8),
+    )
+    words = {verdict.axis: verdict.word for verdict in verdicts or ()}
+    for name in (*AXES, "force", "torque"):
+        score = scores.by_name[name]
+        word = words.get(name, "")
+        beyond = f"{100 * score.beyond:.0f} %" if score.beyond else "-"
+        made.add_row(name, Text(word, STYLES.get(word, "")), *figures(score), beyond)
+        if name == AXES[-1]:
+            made.add_section()
+    return made
+
+
+def print_findings(console: Console, findings: Sequence[tuple[str, Finding]]) -> None:
+    """Print what the data doctor found: what was cut first, the longest first."""
+    if not findings:
+        return
+    console.print(Text("data health", "bold"))
+    order = sorted(findings, key=lambda item: (not item[1].cut, item[1].start - item[1].stop))
+    for recording, finding in order[:MOST_FINDINGS]:
+        mark = "cut " if finding.cut else "note"
+        console.print(
+            Text(f"  {mark} {recording}: {finding.message}", overflow="fold"), soft_wrap=False
+        )
+    if len(order) > MOST_FINDINGS:
+        console.print(f"  and {len(order) - MOST_FINDINGS} more in the report")
+    console.print()
+
+
+def print_recording(console: Console, recording: Recording, robot: Robot | None) -> None:
+    """Print what is in a log: signals, rates, spans, and what of it the robot knows."""
+    console.print(
+        Text.assemble((recording.name, "bold"), f"  {recording.duration:.1f} s, {recording.source}")
+    )
+    made = table("signal", "kind", "columns", "samples", "rate", "start", "stop", right=range(2, 7))
+    kinds = (
+        ("joints", recording.joints),
+        ("F/T", recording.channels),
+        ("temperature", recording.temperatures),
+        ("IMU", recording.imus),
+    )
+    for kind, signals in kinds:
+        for signal in signals:
+            made.add_row(Text(signal.name), kind, *spans(recording, signal))
+    console.print(made)
+    if robot is not None:
+        print_matches(console, recording, robot)
+
+
+def spans(recording: Recording, signal: Signal) -> list[str]:
+    """Return the cells that say how much of a signal there is."""
+    seconds = recording.seconds(signal)
+    rate = f"{1 / signal.period:.1f} Hz" if len(signal) > 1 else "-"
+    start = f"{seconds[0]:.2f} s" if len(signal) else "-"
+    stop = f"{seconds[-1]:.2f} s" if len(signal) else "-"
+    return [str(len(signal.columns)), str(len(signal)), rate, start, stop]
+
+
+def print_matches(console: Console, recording: Recording, robot: Robot) -> None:
+    """Print which joints and sensors of the robot the log has."""
+    logged = {column for signal in recording.joints for column in signal.columns}
+    known = [joint for joint in robot.moving_joints if joint in logged]
+    missing = [joint for joint in robot.moving_joints if joint not in logged]
+    console.print(
+        Text(
+            f"robot {robot.name}: {robot.mass:.2f} kg,"
+            f" {len(known)} of {len(robot.moving_joints)} joints logged"
+        )
+    )
+    if missing:
+        console.print(Text(f"  not logged: {', '.join(missing)}"))
+    if strangers := sorted(logged - set(robot.joints)):
+        console.print(Text(f"  not in the robot: {', '.join(strangers)}"))
+    for sensor in robot.sensors.values():
+        console.print(
+            Text(
+                f"  F/T sensor {sensor.name}: between {sensor.parent} and {sensor.child}, wrench on"
+                f" the {sensor.acts_on} in the {sensor.frame} frame"
+            )
+        )
+    console.print()

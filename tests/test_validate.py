@@ -1,0 +1,126 @@
+"""Scores on held-out samples and the verdicts that rest on them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from pretend import FULL_SCALE, bent, samples, workbench
+
+from ftcal.excitation import Direction, Excitation
+from ftcal.sensor import AXES
+from ftcal.validate import Score, Scores, bootstrap_interval, held_out, load_envelope, score
+from ftcal.verdict import judge, overall
+
+PRIOR = workbench()
+
+
+def scores_of(gain: np.ndarray, truth: np.ndarray, *, share: float = 0.05) -> Scores:
+    rng = np.random.default_rng(0)
+    seen = samples(truth, rng)
+    test = samples(truth, rng, offset=0.2, share=share)
+    return score("hold-out", [held_out(test, gain, PRIOR)], load_envelope(seen.wrench))
+
+
+def test_the_workbench_itself_scores_a_hundred_percent() -> None:
+    found = scores_of(PRIOR.gain, bent(PRIOR, np.random.default_rng(1)))
+    for item in found.by_name.values():
+        assert item.percent == pytest.approx(100.0)
+        assert item.percent_absolute == pytest.approx(100.0)
+        assert item.amplitude == pytest.approx(1.0)
+        assert item.interval == pytest.approx((100.0, 100.0))
+
+
+def test_the_truth_scores_the_noise_alone() -> None:
+    truth = bent(PRIOR, np.random.default_rng(1))
+    found = scores_of(truth, truth)
+    for i, axis in enumerate(AXES):
+        assert found.by_name[axis].rms == pytest.approx(1e-4 * FULL_SCALE[i], rel=0.05)
+        assert found.by_name[axis].interval[1] < 100.0
+
+
+def test_a_vanished_sensor_has_no_amplitude() -> None:
+    found = scores_of(1e-9 * PRIOR.gain, PRIOR.gain)
+    assert all(item.amplitude < 1e-6 for item in found.by_name.values())
+
+
+def test_force_together_is_the_length_of_the_residual() -> None:
+    truth = bent(PRIOR, np.random.default_rng(1))
+    found = scores_of(PRIOR.gain, truth)
+    axes = [found.by_name[axis].rms for axis in AXES[:3]]
+    assert found.by_name["force"].rms == pytest.approx(np.linalg.norm(axes))
+
+
+def test_loads_beyond_training_are_reported() -> None:
+    truth = bent(PRIOR, np.random.default_rng(1))
+    assert scores_of(truth, truth, share=0.2).by_name["fx"].beyond > 0.3
+    assert scores_of(truth, truth, share=0.01).by_name["fx"].beyond == 0.0
+
+
+def test_a_held_out_piece_is_aligned_to_its_own_offset() -> None:
+    rng = np.random.default_rng(0)
+    piece = held_out(samples(PRIOR.gain, rng, offset=0.7), PRIOR.gain, PRIOR)
+    np.testing.assert_allclose((piece.in_situ - piece.model).mean(axis=0), 0.0, atol=1e-9)
+
+
+@given(st.integers(3, 40), st.floats(0.1, 3.0))
+@settings(max_examples=20, deadline=None)
+def test_interval_covers_a_constant_ratio_exactly(blocks: int, ratio: float) -> None:
+    old = np.random.default_rng(blocks).uniform(1, 2, blocks)
+    low, high = bootstrap_interval(ratio**2 * old, old, np.random.default_rng(0))
+    assert low == pytest.approx(100 * ratio)
+    assert high == pytest.approx(100 * ratio)
+
+
+def test_bootstrap_covers_the_truth_nine_times_in_ten() -> None:
+    rng = np.random.default_rng(5)
+    hits = 0
+    for _ in range(300):
+        new, old = rng.gamma(4.0, 1.0, 40), rng.gamma(4.0, 1.0, 40)
+        low, high = bootstrap_interval(new, old, rng)
+        hits += low <= 100.0 <= high
+    # percentile intervals of 40 blocks run a little narrow; 300 trials know it within 2 %
+    assert 0.84 <= hits / 300 <= 0.95
+
+
+def test_two_blocks_say_nothing() -> None:
+    assert bootstrap_interval(np.ones(2), np.ones(2), np.random.default_rng(0)) == (0.0, np.inf)
+
+
+def seen(*, signal: float = 50.0, share: float = 1.0, amplitude: float = 1.0) -> Excitation:
+    directions = [
+        Direction(np.eye(6)[i], AXES[i], 0.1, signal if i == 5 else 50.0, np.full(6, share))
+        for i in range(6)
+    ]
+    return Excitation(tuple(directions), amplitude)
+
+
+def with_interval(low: float, high: float) -> Scores:
+    item = Score("fx", "N", 1.0, 2.0, 50.0, (low, high), 50.0, 1.0, (0, 1), (0, 1), 0.0)
+    return Scores("hold-out", (), {axis: item for axis in AXES}, 10, 1.0, 5)
+
+
+def test_better_and_fully_seen_is_accepted() -> None:
+    assert overall(judge(seen(), with_interval(40, 60))) == "ACCEPT"
+
+
+def test_better_with_a_direction_on_the_prior_is_partial() -> None:
+    verdicts = judge(seen(signal=1.0), with_interval(40, 60))
+    assert overall(verdicts) == "PARTIAL"
+    assert "1 direction not excited: tz" in verdicts[0].reason
+    assert overall(judge(seen(share=0.2), with_interval(40, 60))) == "PARTIAL"
+
+
+def test_an_interval_that_contains_a_hundred_keeps_the_workbench() -> None:
+    verdicts = judge(seen(), with_interval(40, 110))
+    assert not any(v.use for v in verdicts)
+    assert "no better" in verdicts[0].reason
+
+
+def test_a_worse_axis_says_so() -> None:
+    assert "worse" in judge(seen(), with_interval(120, 140))[0].reason
+
+
+def test_without_validation_nothing_is_accepted() -> None:
+    assert {v.word for v in judge(seen(), None)} == {"REFUSE"}
