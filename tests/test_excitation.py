@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from pretend import FULL_SCALE, bent, samples, workbench
 
 from ftcal.excitation import in_words
 from ftcal.fit import FitOptions, fit
@@ -15,11 +14,11 @@ from ftcal.folds import cells
 from ftcal.samples import Samples
 from ftcal.sensor import AXES, Workbench
 from ftcal.verdict import identifiable, judge, overall
+from pretend import FULL_SCALE, bent, samples, workbench
 
 PRIOR = workbench()
 POSES = (
-    Path(__file__).resolve().parents[2]
-    / "shared/data/ati-gamma-lbrmed/0-calibration_fts-accel.csv"
+    Path(__file__).resolve().parents[2] / "shared/data/ati-gamma-lbrmed/0-calibration_fts-accel.csv"
 )
 
 
@@ -60,9 +59,9 @@ def test_scale_gauge_of_a_lone_balance_is_refused() -> None:
     both = np.concatenate([hip, ankle], axis=1) + rng.normal(size=(2000, 12))
     weight = np.tile([0.0, 0.0, -40.0, 0.0, 0.0, 0.0], (2000, 1))
     shank = Samples("shank", 0.0, 20.0, true.time, both, weight)
-    prior = Workbench("both", np.concatenate([PRIOR.gain, PRIOR.gain], axis=1), FULL_SCALE, "channels")
+    gains = np.concatenate([PRIOR.gain, PRIOR.gain], axis=1)
+    prior = Workbench("both", gains, FULL_SCALE, "channels")
     plain = fit(cells([shank], 1.0), prior, FitOptions(penalty=1e-9))
-    # the trap itself: least squares explains the constant perfectly by shrinking towards C_w's kernel
     assert plain.excitation.scale_is_free
     verdicts = judge(plain.excitation, None)
     assert {v.word for v in verdicts} == {"REFUSE"}

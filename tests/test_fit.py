@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from pretend import FULL_SCALE, bent, samples, workbench
 
 from ftcal.errors import DataError
 from ftcal.fit import FitOptions, choose_kappa, fit, measured_noise, segment_offsets
 from ftcal.folds import about_zero, blocked_folds, by_segment, cells, pooled
 from ftcal.noise import Noise, inefficiency
 from ftcal.ridge import ScaledProblem
+from pretend import FULL_SCALE, bent, samples, workbench
 
 PRIOR = workbench()
 
@@ -85,7 +85,8 @@ def test_truth_lies_within_three_standard_errors() -> None:
         some = samples(gain, rng, count=6000, noise=0.0, seconds=60.0)
         felt = some.wrench + 5e-4 * FULL_SCALE * correlated(rng, 6000, 10)
         found = fit(cells([dataclasses.replace(some, wrench=felt)], 1.0), PRIOR)
-        inside += int((np.abs(found.estimate.gain - gain) < 3 * found.estimate.standard_error).sum())
+        error = np.abs(found.estimate.gain - gain)
+        inside += int((error < 3 * found.estimate.standard_error).sum())
         entries += 36
     assert inside / entries >= 0.97
 

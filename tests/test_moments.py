@@ -57,9 +57,7 @@ def test_about_the_mean_changes_nothing(a: np.ndarray) -> None:
 
 @given(tables)
 def test_about_zero_is_the_plain_second_moment(a: np.ndarray) -> None:
-    np.testing.assert_allclose(
-        Moments.of(a).about(np.zeros(3)).scatter, a.T @ a, rtol=0, atol=1e-7
-    )
+    np.testing.assert_allclose(Moments.of(a).about(np.zeros(3)).scatter, a.T @ a, rtol=0, atol=1e-7)
 
 
 def test_counts_riding_on_a_large_offset_keep_their_digits() -> None:

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from pretend import bent, workbench
 
 from ftcal.offset import InSituOffset, in_situ_offset
+from pretend import bent, workbench
 
 PRIOR = workbench()
 OFFSET = np.array([4000.0, -9000.0, 12000.0, -700.0, 20000.0, 3000.0])

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from pretend import FULL_SCALE, bent, samples, workbench
 
 from ftcal.excitation import Direction, Excitation
 from ftcal.sensor import AXES
 from ftcal.validate import Score, Scores, bootstrap_interval, held_out, load_envelope, score
 from ftcal.verdict import judge, overall
+from pretend import FULL_SCALE, bent, samples, workbench
 
 PRIOR = workbench()
 
@@ -98,7 +98,7 @@ def seen(*, signal: float = 50.0, share: float = 1.0, amplitude: float = 1.0) ->
 
 def with_interval(low: float, high: float) -> Scores:
     item = Score("fx", "N", 1.0, 2.0, 50.0, (low, high), 50.0, 1.0, (0, 1), (0, 1), 0.0)
-    return Scores("hold-out", (), {axis: item for axis in AXES}, 10, 1.0, 5)
+    return Scores("hold-out", (), dict.fromkeys(AXES, item), 10, 1.0, 5)
 
 
 def test_better_and_fully_seen_is_accepted() -> None:

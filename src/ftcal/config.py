@@ -10,7 +10,7 @@ import difflib
 import hashlib
 import itertools
 import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -29,6 +29,7 @@ Window = Annotated[tuple[float, float], Field(description="[start, stop) in seco
 Six = Annotated[tuple[float, float, float, float, float, float], Field()]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+Links = str | Annotated[tuple[str, ...], Field(min_length=1)]
 Three = tuple[float, float, float]
 
 
@@ -60,7 +61,7 @@ class ContactSection(Section):
 
     start: float
     stop: float
-    link: str
+    link: Links
 
 
 class RecordingSection(Section):
@@ -70,8 +71,8 @@ class RecordingSection(Section):
     """File or folder."""
     name: str | None = None
     """Name in tables; default: that of the file or folder."""
-    contact: str | None = None
-    """Link or frame that touches the world throughout."""
+    contact: Links | None = None
+    """Link or frame that touches the world throughout; of several the first stands still."""
     contacts: tuple[ContactSection, ...] = ()
     """Or: intervals with one contact each."""
     gravity: Three = STANDARD_GRAVITY
@@ -131,8 +132,8 @@ class RecordingSection(Section):
     def schedule(self) -> ContactSchedule:
         """Return who touches the world when."""
         if self.contact is not None:
-            return ContactSchedule((Interval(-np.inf, np.inf, self.contact),))
-        return ContactSchedule(tuple(Interval(c.start, c.stop, c.link) for c in self.contacts))
+            return ContactSchedule((interval(-np.inf, np.inf, self.contact),))
+        return ContactSchedule(tuple(interval(c.start, c.stop, c.link) for c in self.contacts))
 
     def layout(self) -> Layout:
         """Return what the reader is told about the log."""
@@ -146,6 +147,12 @@ class RecordingSection(Section):
             imus=self.imus,
             zero=self.zero,
         )
+
+
+def interval(start: float, stop: float, links: str | tuple[str, ...]) -> Interval:
+    """Return the interval during which `links` touch, the first of them standing still."""
+    first, *others = (links,) if isinstance(links, str) else links
+    return Interval(start, stop, first, tuple(others))
 
 
 class SignalsSection(Section):
@@ -252,31 +259,53 @@ def read_job(path: Path) -> Job:
     try:
         return Job.model_validate({**table, "file": path})
     except ValidationError as error:
-        raise_all(JobError, str(path), (in_words(e, table) for e in error.errors()))
+        raise_all(JobError, str(path), in_words(error.errors(), table))
         raise
 
 
-def in_words(error: ErrorDetails, table: Mapping[str, Any]) -> str:
-    """Return one fault that pydantic found as a phrase with the key, the value and a remedy."""
-    where = ".".join(str(part) for part in error["loc"] if part not in ("Literal", "float"))
-    kind = error["type"]
-    if kind == "extra_forbidden":
-        *parents, key = error["loc"]
-        near = difflib.get_close_matches(str(key), list(keys_beside(parents)), n=1, cutoff=0.5)
-        return f"unknown key {where!r}" + (f"; did you mean {near[0]!r}?" if near else "")
-    if kind == "missing":
-        return f"{where!r} is missing"
-    if kind == "value_error":
+def in_words(errors: Iterable[ErrorDetails], table: Mapping[str, Any]) -> list[str]:
+    """Return what pydantic found as phrases with the key, the value and a remedy.
+
+    A value that fits none of several types is one fault, not one a type.
+    """
+    alternatives: dict[str, list[str]] = {}
+    for error in errors:
+        *parents, key = where = place(error, table)
+        name = ".".join(map(str, where))
         message = str(error["msg"]).removeprefix("Value error, ")
-        return f"{where}: {message}" if where else message
-    shown = repr(error["input"])
-    shown = shown if len(shown) <= 40 else f"{shown[:37]}..."
-    message = error["msg"][0].lower() + error["msg"][1:]
-    return f"{where} = {shown}: {message}"
+        match error["type"]:
+            case "extra_forbidden":
+                near = difflib.get_close_matches(str(key), keys_beside(parents), n=1, cutoff=0.5)
+                hint = f"; did you mean {near[0]!r}?" if near else ""
+                alternatives[f"unknown key {name!r}{hint}"] = []
+            case "missing":
+                alternatives[f"{name!r} is missing"] = []
+            case "value_error":
+                alternatives[f"{name}: {message}" if key else message] = []
+            case _:
+                shown = repr(error["input"])
+                shown = shown if len(shown) <= 40 else f"{shown[:37]}..."
+                message = message[0].lower() + message[1:]
+                alternatives.setdefault(f"{name} = {shown}", []).append(message)
+    return [f"{name}: {' or '.join(m)}" if m else name for name, m in alternatives.items()]
 
 
-def keys_beside(parents: list[Any]) -> Iterator[str]:
-    """Yield the keys that the section at `parents` of a job file knows."""
+def place(error: ErrorDetails, table: Mapping[str, Any]) -> list[str | int]:
+    """Return the keys that lead to a fault, without pydantic's names of types tried."""
+    node: Any = table
+    keys: list[str | int] = []
+    for part in error["loc"]:
+        node = dict(enumerate(node)) if isinstance(node, list) else node
+        inside = isinstance(node, dict) and part in node
+        if inside:
+            node = node[part]
+        if inside or error["type"] == "missing":
+            keys.append(part)
+    return keys or [""]
+
+
+def keys_beside(parents: Iterable[Any]) -> list[str]:
+    """Return the keys that the section at `parents` of a job file knows."""
     section: type[BaseModel] = Job
     sections: dict[str, type[BaseModel]] = {
         "sensors": SensorSection,
@@ -287,6 +316,4 @@ def keys_beside(parents: list[Any]) -> Iterator[str]:
     }
     for part in parents:
         section = sections.get(str(part), section)
-    for name, field in section.model_fields.items():
-        if name != "file":
-            yield field.alias or name
+    return [field.alias or name for name, field in section.model_fields.items() if name != "file"]

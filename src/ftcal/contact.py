@@ -6,6 +6,7 @@ external force is applied and its location is known"); a schedule is a row of su
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 
 from ftcal.errors import JobError, raise_all
@@ -13,14 +14,16 @@ from ftcal.errors import JobError, raise_all
 
 @dataclass(frozen=True, slots=True)
 class Interval:
-    """Half-open span [start, stop) during which only `link` touches the world."""
+    """Half-open span [start, stop) during which only `link` and `others` touch the world."""
 
     start: float
     """Seconds since the start of the recording."""
     stop: float
     """Seconds since the start of the recording, exclusive."""
     link: str
-    """Link or frame that touches the world."""
+    """Link or frame that touches the world and stands still, or whose motion is known."""
+    others: tuple[str, ...] = ()
+    """Links that touch too. They must lie on the same side of a sensor as `link`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,12 +41,12 @@ class ContactSchedule:
         faults += [
             f"intervals [{a.start:g}, {a.stop:g}) and [{b.start:g}, {b.stop:g}) s overlap or are"
             " out of order"
-            for a, b in zip(self.intervals, self.intervals[1:], strict=False)
+            for a, b in itertools.pairwise(self.intervals)
             if b.start < a.stop
         ]
         raise_all(JobError, "contact schedule", faults)
 
     @property
-    def links(self) -> tuple[str, ...]:
-        """Every contact of the schedule once, in order of appearance."""
-        return tuple(dict.fromkeys(interval.link for interval in self.intervals))
+    def touching(self) -> tuple[tuple[str, ...], ...]:
+        """Every set of links that touch together, once, in order of appearance."""
+        return tuple(dict.fromkeys((i.link, *i.others) for i in self.intervals))

@@ -86,11 +86,14 @@ def ft_channel(job: Job, robot: Robot, section: SensorSection) -> FtChannel:
 
 
 def check_contacts(job: Job, robot: Robot, channels: Sequence[FtChannel]) -> None:
-    """Raise `RobotError` early where a contact is unknown or a sensor's free half is massless."""
+    """Raise `RobotError` before a log is read.
+
+    Where a contact is unknown, both halves of a sensor touch, or its free half has no mass.
+    """
     for section in job.recordings:
-        for link in section.schedule().links:
+        for touching in section.schedule().touching:
             for channel in channels:
-                robot.required_joints(channel.sensor, link)
+                robot.free_half(channel.sensor, touching)
 
 
 def read_recordings(

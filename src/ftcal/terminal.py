@@ -23,8 +23,6 @@ if TYPE_CHECKING:
     from ftcal.one_sensor import SensorOutcome
 
 STYLES = {"ACCEPT": "bold green", "PARTIAL": "bold yellow", "REFUSE": "bold red"}
-MOST_FINDINGS = 12
-"""Findings listed; the report has them all."""
 
 
 def table(*headers: str, right: Iterable[int] = ()) -> Table:
@@ -126,18 +124,24 @@ def score_table(scores: Scores, verdicts: Sequence[Verdict] | None = None) -> Ta
 
 
 def print_findings(console: Console, findings: Sequence[tuple[str, Finding]]) -> None:
-    """Print what the data doctor found: what was cut first, the longest first."""
-    if not findings:
+    """Print what the data doctor found, one line for each kind and signal, what is cut first."""
+    groups: dict[tuple[bool, str, str, str], list[Finding]] = {}
+    for recording, finding in findings:
+        key = (not finding.cut, recording, finding.signal, finding.kind)
+        groups.setdefault(key, []).append(finding)
+    if not groups:
         return
     console.print(Text("data health", "bold"))
-    order = sorted(findings, key=lambda item: (not item[1].cut, item[1].start - item[1].stop))
-    for recording, finding in order[:MOST_FINDINGS]:
-        mark = "cut " if finding.cut else "note"
-        console.print(
-            Text(f"  {mark} {recording}: {finding.message}", overflow="fold"), soft_wrap=False
-        )
-    if len(order) > MOST_FINDINGS:
-        console.print(f"  and {len(order) - MOST_FINDINGS} more in the report")
+    for (kept, recording, signal, kind), found in sorted(groups.items()):
+        message = found[0].message.removeprefix(f"{signal}: ")
+        if len(found) > 1:
+            lengths = [finding.stop - finding.start for finding in found]
+            message = (
+                f"{kind} {len(found)} times, {sum(lengths):.1f} s in all, longest"
+                f" {max(lengths):.2f} s"
+            )
+        mark = "note" if kept else "cut "
+        console.print(Text(f"  {mark}  {recording}  {signal}: {message}"))
     console.print()
 
 

@@ -1,0 +1,242 @@
+"""One port of a YARP dumper: `data.log` (samples) and `info.log` (what was connected, when).
+
+A line of `data.log` is `seq time v1 … vn`; a dumper started with `--txTime --rxTime` writes both
+stamps, sender first (yarpdatadumper, `DumpTimeStamp::getString`). The sender's stamp is the one
+kept: it does not contain the network. Values may be grouped, `(v1 … vn) [ok] (…) [ok]`; a motor
+board's first group is the joint positions. The last line is often cut where the dumper was killed.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, replace
+from os import SEEK_END
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pyarrow as pa
+from pyarrow import compute, csv
+
+from ftcal.errors import LogError
+from ftcal.logs.columns import SECONDS, decimal_nanoseconds, matrix
+from ftcal.recording import NANOSECONDS
+
+if TYPE_CHECKING:
+    from jaxtyping import Float, Int
+    from numpy import ndarray as Array
+
+SAMPLES, CONNECTION = "data.log", "info.log"
+"""The two files in the folder of a port."""
+
+SEQUENCE_SIZE = 32768
+"""The packet counter of a YARP envelope runs from 0 to 32767 and starts again."""
+
+_MARKS = b"()[]ok"
+_EVENT = re.compile(r"^\[(\d+(?:\.\d+)?)\]\s+(\S+)\s+\[(connected|disconnected)\]\s*$")
+_UNIX_TIME = re.compile(rb"^[1-9]\d{8,9}\.\d{6,9}$")
+_TAIL = 1 << 16  # bytes, more than any line
+_BLOCK = 4 << 20  # bytes a thread parses at once: 1 MiB, the default, is a quarter slower
+
+
+@dataclass(frozen=True, slots=True)
+class Connection:
+    """What `info.log` says."""
+
+    port: str = ""
+    """Full name of the port, such as `/icub/right_leg/analog:o`; "" where nothing says."""
+    bottle: bool = True
+    """Whether the port carried text; pictures and sound do not."""
+    both_stamps: bool | None = None
+    """Whether each line has the sender's and the receiver's stamp; None: `info.log` is silent."""
+    opened: tuple[int, ...] = ()
+    """Nanoseconds since the Unix epoch of each connection."""
+    closed: tuple[int, ...] = ()
+    """Nanoseconds since the Unix epoch of each disconnection."""
+
+
+def connection(text: bytes, where: str) -> Connection:
+    """Return what the `info.log` with content `text` says; lines of no known form are skipped."""
+    lines = text.decode(errors="replace").splitlines()
+    heads = dict(line.split(":", 1) for line in lines if line.startswith(("Type:", "Stamp:")))
+    events = [found.groups() for line in lines if (found := _EVENT.match(line))]
+    ports = sorted({port for _, port, _ in events})
+    if len(ports) > 1:
+        raise LogError(f"{where}: ports {', '.join(ports)} are mixed in one log; dump them apart")
+    stamps = [(round(float(t) * 1_000_000) * 1000, kind) for t, _, kind in events if len(t) < 30]
+    return Connection(
+        port=ports[0] if ports else "",
+        bottle="Type" not in heads or "bottle" in heads["Type"].lower(),
+        both_stamps="tx+rx" in heads["Stamp"] if "Stamp" in heads else None,
+        opened=tuple(stamp for stamp, kind in stamps if kind == "connected"),
+        closed=tuple(stamp for stamp, kind in stamps if kind == "disconnected"),
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Samples:
+    """What `data.log` holds, unaltered but for its unit."""
+
+    sequence: Int[Array, "N"]
+    """Packet counter of each line, as logged."""
+    stamps: Int[Array, "N"]
+    """Nanoseconds since the Unix epoch, as logged: repeated or disordered ones included."""
+    values: Float[Array, "N K"]
+    """The first group, or all values where they are not grouped."""
+    truncated: bool
+    """Whether an incomplete last line was left out."""
+
+
+NOTHING = Samples(np.empty(0, np.int64), np.empty(0, np.int64), np.empty((0, 0)), False)
+"""What a port logs that nobody wrote to."""
+
+
+def numeric(file: Path) -> bool:
+    """Return whether the first line of a `data.log` looks like numbers."""
+    fields = _ends(file)[0].translate(None, _MARKS).split()
+    return len(fields) > 2 and all(_is_number(field) for field in fields)
+
+
+def parse(file: Path, *, both_stamps: bool | None, scale: float = 1.0) -> Samples:
+    """Return the samples in the `data.log` at `file`, with values times `scale`.
+
+    Raises `LogError` naming the first line that is not like the others, or not a number.
+    """
+    first, spare = _ends(file)
+    grouped = b"(" in first
+    source: Any = str(file)  # Arrow reads plain numbers from disk with fewest copies
+    text = b""
+    if grouped or spare:
+        text = file.read_bytes()
+        text = text[: len(text) - spare].translate(None, _MARKS if grouped else b"")
+        source = pa.BufferReader(text)
+    if not first and not spare and file.stat().st_size:
+        raise LogError(f"{file}, line 1: it is empty; cut the line")
+    if not first or (spare and not text):
+        return replace(NOTHING, truncated=spare > 0)
+    used, status, width = _used_columns(first, both_stamps)
+    if not used:
+        raise LogError(f"{file}, line 1: no counter, time and values; is this a YARP log?")
+    names = [str(column) for column in range(width)]
+    kinds = {0: pa.int64(), 1: SECONDS} | dict.fromkeys(used, pa.float64())
+    kinds |= dict.fromkeys(status, pa.string())
+    try:
+        table = csv.read_csv(
+            source,
+            read_options=csv.ReadOptions(column_names=names, block_size=_BLOCK),
+            parse_options=csv.ParseOptions(delimiter=" ", quote_char=False),
+            convert_options=csv.ConvertOptions(
+                column_types={names[column]: kind for column, kind in kinds.items()},
+                include_columns=[names[column] for column in kinds],
+                null_values=[],
+            ),
+        )
+    except pa.ArrowException as error:
+        clean = text or file.read_bytes()
+        raise _culprit(clean, used, width, str(file), error) from error
+    for column in status:
+        failed = compute.not_equal(table.column(names[column]), "")
+        if compute.any(failed).as_py():
+            line = compute.index(failed, True).as_py() + 1
+            raise LogError(f"{file}, line {line}: the motor board marks the positions as failed;"
+                           " cut these lines")  # fmt: skip
+    return Samples(
+        table.column("0").to_numpy(),
+        decimal_nanoseconds(table.column("1"), str(file)),
+        matrix([table.column(names[column]) for column in used], scale=scale),
+        spare > 0,
+    )
+
+
+def _ends(file: Path) -> tuple[bytes, int]:
+    """Return the first line of `file`, and how many bytes at its end are no whole line.
+
+    A last line is whole that ends, and has as many fields as the first.
+    """
+    with file.open("rb") as log:
+        first = log.readline()
+        size = log.seek(0, SEEK_END)
+        log.seek(max(0, size - _TAIL))
+        tail = log.read()
+    if not first.endswith(b"\n"):
+        return b"", size
+    end = tail.rfind(b"\n") + 1
+    last = tail.rfind(b"\n", 0, max(end - 1, 0)) + 1
+    if tail.count(b" ", last, end) < first.count(b" "):
+        end = last
+    return first.rstrip(b"\r\n"), len(tail) - end
+
+
+def _used_columns(first: bytes, both_stamps: bool | None) -> tuple[list[int], list[int], int]:
+    """Return which fields of a line hold values, which the status of their group; the count."""
+    fields = first.translate(None, _MARKS).split(b" ")
+    if both_stamps is None:
+        both_stamps = len(fields) > 3 and all(_UNIX_TIME.match(f) for f in fields[1:3])
+    begin = 3 if both_stamps else 2
+    group, mark, rest = first.partition(b")")
+    stop = len(group.translate(None, _MARKS).split(b" "))
+    status = [stop] if mark and rest.startswith(b" [") else []
+    return [i for i in range(begin, stop) if fields[i]], status, len(fields)
+
+
+def _is_number(field: bytes) -> bool:
+    try:
+        float(field)
+    except ValueError:
+        return False
+    return True
+
+
+def _culprit(clean: bytes, used: list[int], width: int, where: str, error: Exception) -> LogError:
+    """Return the error that names the first line Arrow could not read; slow, but only then."""
+    for number, line in enumerate(clean.split(b"\n")[:-1], start=1):
+        fields = line.rstrip(b"\r").split(b" ")
+        if line and len(fields) != width:
+            return LogError(
+                f"{where}, line {number}: {len(fields)} fields where the first line has {width};"
+                " cut the line, or the log there"
+            )
+        if bad := [fields[i] for i in (0, 1, *used) if line and not _is_number(fields[i])]:
+            text = bad[0][:40].decode(errors="replace")
+            return LogError(f"{where}, line {number}: {text!r} is no number; cut the line")
+    reason = str(error).splitlines()[0][:200]
+    return LogError(f"{where}: not a YARP log ({reason}); give the folder that the dumper wrote")
+
+
+def lost_packets(
+    sequence: Int[Array, "N"], opening: Int[Array, "M"]
+) -> tuple[int, int, int] | None:
+    """Return how many packets the counter skips, the row before the first and after the last skip.
+
+    The counter starts again after 32767; a dump that keeps each n-th packet steps by n; a step
+    of half its range or more is a sender that started again; and the counter says nothing across
+    the hole before a row of `opening`. None where nothing is lost.
+    """
+    step = np.diff(sequence) % SEQUENCE_SIZE
+    usual = max(int(np.median(step)), 1) if len(step) else 1
+    skips = (step > usual) & (step < SEQUENCE_SIZE // 2)
+    skips[opening - 1] = False
+    rows = np.flatnonzero(skips)
+    if not len(rows):
+        return None
+    return int((step[rows] // usual - 1).sum()), int(rows[0]), int(rows[-1]) + 1
+
+
+def session_rows(stamps: Int[Array, "N"], link: Connection) -> tuple[int, ...]:
+    """Return the rows that open a new connection.
+
+    Packets are stamped by the sender before the dumper notes the connection, so the row is the one
+    after the step that covers most of the hole between disconnection and connection.
+    """
+    slack = NANOSECONDS // 10
+    rows = set()
+    for again in link.opened[1:]:
+        left = max((t for t in link.closed if t <= again), default=again) - slack
+        right = again + slack
+        first = max(int(np.searchsorted(stamps, left)), 1)
+        last = min(int(np.searchsorted(stamps, right)) + 1, len(stamps))
+        if first < last:
+            before, after = stamps[first - 1 : last - 1], stamps[first:last]
+            covered = np.minimum(after, right) - np.maximum(before, left)
+            rows.add(first + int(np.argmax(covered)))
+    return tuple(sorted(rows))

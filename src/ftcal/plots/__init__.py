@@ -1,0 +1,32 @@
+"""Figures of a calibration as plain Plotly JSON: `{"data": [...], "layout": {...}}`.
+
+Plain tables, not `plotly.graph_objects`: a report has a dozen figures, and validating them would
+cost more than the calibration. The copy of plotly.js inside the report draws them.
+"""
+
+from ftcal.plots.figure import POINTS, Figure
+from ftcal.plots.health import health_timeline
+from ftcal.plots.knowledge import directions, prior_curve, truth_maps
+from ftcal.plots.wrench import (
+    Piece,
+    forces_in_space,
+    residual_spread,
+    residuals_in_time,
+    smoothing_effect,
+    wrench_in_time,
+)
+
+__all__ = [
+    "POINTS",
+    "Figure",
+    "Piece",
+    "directions",
+    "forces_in_space",
+    "health_timeline",
+    "prior_curve",
+    "residual_spread",
+    "residuals_in_time",
+    "smoothing_effect",
+    "truth_maps",
+    "wrench_in_time",
+]

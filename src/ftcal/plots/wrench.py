@@ -1,0 +1,239 @@
+"""Wrenches in time and space: what the model expects beside what both matrices read."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+
+from ftcal.pairing import FtChannel
+from ftcal.plots.figure import (
+    BLUE,
+    GREY,
+    ORANGE,
+    SKY,
+    VERMILLION,
+    Figure,
+    axis_id,
+    base_layout,
+    curve,
+    joined,
+    packed,
+    plain_axis,
+    six_panels,
+    with_holes,
+)
+from ftcal.recording import Recording
+from ftcal.samples import Samples
+from ftcal.sensor import AXES, UNITS
+from ftcal.validate import HeldOut
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+    from numpy import ndarray as Array
+
+MODEL, WORKBENCH, IN_SITU = "model", "Workbench", "in situ"
+
+LINES: dict[str, dict[str, Any]] = {
+    MODEL: {"color": GREY, "width": 3},
+    WORKBENCH: {"color": VERMILLION, "width": 1.3, "dash": "dot"},
+    IN_SITU: {"color": BLUE, "width": 1.4},
+}
+"""The same three curves in every figure: broad grey, dotted vermillion, thin blue."""
+
+MARKERS = {MODEL: "circle", WORKBENCH: "x", IN_SITU: "diamond"}
+
+IN_SPACE = 1200
+"""Points of a cloud in space: more hide one another."""
+
+GLIMPSE = 6.0
+"""Seconds that show what smoothing does."""
+
+BINS = 60
+"""Bins of a distribution of residuals."""
+
+
+@dataclass(frozen=True, slots=True)
+class Piece:
+    """A stretch of a recording read by both matrices."""
+
+    role: Literal["train", "test"]
+    reading: HeldOut
+    """Each reading aligned to the model's mean over the stretch."""
+
+    @property
+    def readings(self) -> dict[str, Float[Array, "N 6"]]:
+        """The three wrenches [N, Nm] by name."""
+        return {
+            MODEL: self.reading.model,
+            WORKBENCH: self.reading.workbench,
+            IN_SITU: self.reading.in_situ,
+        }
+
+
+def wrench_in_time(sensor: str, background: Samples, pieces: Sequence[Piece]) -> Figure:
+    """Return force and torque against time in one recording, its windows shaded.
+
+    The model's wrench (`background`) runs through the whole recording; what the matrices read is
+    drawn where an offset is known, that is inside the windows.
+    """
+    layout = six_panels(f"{background.recording}: wrench at {sensor}", 640, "time [s]")
+    traces = []
+    time, model = with_holes(background.time, background.wrench)
+    for axis in range(6):
+        traces.append(curve(time, model[:, axis], axis, LINES[MODEL], MODEL))
+    for name in (WORKBENCH, IN_SITU):
+        times, values = joined([(p.reading.time, p.readings[name]) for p in pieces])
+        for axis in range(6):
+            traces.append(curve(times, values[:, axis], axis, LINES[name], name))
+    layout["shapes"] = window_shades(pieces)
+    layout["hovermode"] = "x"
+    return {"data": traces, "layout": layout}
+
+
+def window_shades(pieces: Sequence[Piece]) -> list[dict[str, Any]]:
+    """Return a labelled rectangle behind every panel for every window."""
+    shades = []
+    for piece in pieces:
+        if not len(piece.reading.time):
+            continue
+        colour = SKY if piece.role == "train" else ORANGE
+        for axis in range(6):
+            label = {"text": piece.role, "textposition": "top left", "font": {"size": 10}}
+            shades.append(
+                {
+                    "type": "rect",
+                    "xref": axis_id("x", axis),
+                    "yref": f"{axis_id('y', axis)} domain",
+                    "x0": float(piece.reading.time[0]),
+                    "x1": float(piece.reading.time[-1]),
+                    "y0": 0,
+                    "y1": 1,
+                    "layer": "below",
+                    "fillcolor": colour,
+                    "opacity": 0.18,
+                    "line": {"width": 0},
+                    "label": label if axis in (0, 3) else {},
+                }
+            )
+    return shades
+
+
+def residuals_in_time(sensor: str, kind: str, pieces: Sequence[HeldOut]) -> Figure:
+    """Return the held-out residuals, sensor minus model, of one recording against time."""
+    title = f"{pieces[0].recording}: {kind} residual at {sensor}, sensor minus model"
+    layout = six_panels(title, 600, "time [s]")
+    traces = []
+    for name in (WORKBENCH, IN_SITU):
+        times, values = joined([(p.time, residual(p, name)) for p in pieces])
+        for axis in range(6):
+            traces.append(curve(times, values[:, axis], axis, LINES[name], name))
+    layout["hovermode"] = "x"
+    return {"data": traces, "layout": layout}
+
+
+def residual(piece: HeldOut, name: str) -> Float[Array, "N 6"]:
+    """Return sensor minus model of one reading [N, Nm]."""
+    reading = piece.workbench if name == WORKBENCH else piece.in_situ
+    return np.asarray(reading - piece.model)
+
+
+def residual_spread(sensor: str, kind: str, pieces: Sequence[HeldOut]) -> Figure:
+    """Return the distribution of the held-out residuals of all recordings, axis by axis."""
+    names = ", ".join(dict.fromkeys(piece.recording for piece in pieces))
+    title = f"{names}: distribution of the {kind} residual at {sensor}"
+    layout = base_layout(title, 430)
+    both = {
+        name: np.concatenate([residual(piece, name) for piece in pieces])
+        for name in (WORKBENCH, IN_SITU)
+    }
+    traces = []
+    for axis in range(6):
+        column, row = axis % 3, axis // 3
+        number = "" if axis == 0 else str(axis + 1)
+        x = column / 3 + 0.02 * column
+        layout[f"xaxis{number}"] = plain_axis(
+            f"{AXES[axis]} residual [{UNITS[axis]}]",
+            domain=[x, x + 0.29],
+            anchor=axis_id("y", axis),
+        )
+        layout[f"yaxis{number}"] = plain_axis(
+            "share [%]" if column == 0 else "",
+            domain=[0.6, 1.0] if row == 0 else [0.0, 0.4],
+            anchor=axis_id("x", axis),
+            rangemode="tozero",
+        )
+        reach = max(float(np.abs(table[:, axis]).max()) for table in both.values())
+        edges = np.linspace(-reach, reach, BINS + 1) if reach > 0 else np.linspace(-1, 1, BINS + 1)
+        for name, table in both.items():
+            count = np.histogram(table[:, axis], edges)[0]
+            traces.append(
+                {
+                    **curve(0.5 * (edges[1:] + edges[:-1]), count / len(table) * 100, axis, {}, name),
+                    "line": {**LINES[name], "shape": "hvh"},
+                    "fill": "tozeroy",
+                    "fillcolor": "rgba(213,94,0,0.10)"
+                    if name == WORKBENCH
+                    else "rgba(0,114,178,0.18)",
+                    "hovertemplate": "%{x:.3g}: %{y:.1f} %",
+                }
+            )
+    return {"data": traces, "layout": layout}
+
+
+def forces_in_space(sensor: str, pieces: Sequence[Piece]) -> Figure:
+    """Return the force as a cloud in space: model, Workbench and in situ [N]."""
+    names = ", ".join(dict.fromkeys(piece.reading.recording for piece in pieces))
+    layout = base_layout(f"{names}: force at {sensor}", 520)
+    total = sum(len(piece.reading.time) for piece in pieces)
+    stride = max(1, -(-total // IN_SPACE))
+    traces = []
+    for name in (MODEL, WORKBENCH, IN_SITU):
+        force = np.concatenate([piece.readings[name][::stride, :3] for piece in pieces])
+        traces.append(
+            {
+                "type": "scatter3d",
+                "mode": "markers",
+                **{axis: packed(force[:, i]) for i, axis in enumerate("xyz")},
+                "name": name,
+                "marker": {
+                    "size": 3.2 if name == MODEL else 2.4,
+                    "symbol": MARKERS[name],
+                    "color": LINES[name]["color"],
+                },
+                "hovertemplate": "%{x:.3g}, %{y:.3g}, %{z:.3g} N",
+            }
+        )
+    layout["scene"] = {
+        **{f"{axis}axis": {"title": {"text": f"f{axis} [N]"}} for axis in "xyz"},
+        "aspectmode": "data",
+        "camera": {"eye": {"x": 1.5, "y": 1.5, "z": 0.9}},
+    }
+    layout["margin"] |= {"l": 0, "r": 0, "b": 0}
+    return {"data": traces, "layout": layout}
+
+
+def smoothing_effect(recording: Recording, channel: FtChannel, stretch: Samples) -> Figure:
+    """Return a few seconds of the Workbench's reading before and after the filter [N, Nm]."""
+    half = min(GLIMPSE, float(stretch.time[-1] - stretch.time[0])) / 2
+    middle = 0.5 * float(stretch.time[-1] + stretch.time[0])
+    some = stretch.between(middle - half, middle + half)
+    signal = recording.channel(channel.signal)
+    seconds = recording.seconds(signal)
+    rows = (seconds >= middle - half) & (seconds < middle + half)
+    gain = channel.workbench.gain
+    raw = channel.workbench.channels(signal.values[rows]) @ gain.T
+    title = f"{recording.name}: {channel.signal} by the Workbench, before and after smoothing"
+    layout = six_panels(title, 480, "time [s]")
+    traces = []
+    shown = (
+        ("as logged", seconds[rows], raw, {"color": ORANGE, "width": 1}),
+        ("smoothed", some.time, some.channels @ gain.T, {"color": "#000", "width": 2}),
+    )
+    for name, time, values, line in shown:
+        broken, table = with_holes(time, values)
+        for axis in range(6):
+            traces.append(curve(broken, table[:, axis], axis, line, name))
+    return {"data": traces, "layout": layout}
