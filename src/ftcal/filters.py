@@ -141,8 +141,8 @@ def _apply(
             outputs[0].size,
             x.shape[1],
             window // 2,
-            # vectors start at multiples of 64 bytes from the second block on: one cache line each
-            x.ctypes.data // 8 % 8,
+            # from the second block on vectors are aligned to their size: one cache line each
+            x.ctypes.data // 8 % jit.vector_width(),
         )
     return outputs
 

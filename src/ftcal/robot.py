@@ -153,7 +153,7 @@ def _outwards(roots: Sequence[str], joints: Mapping[str, Joint]) -> list[str]:
     return order
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Robot:
     """Links, joints and F/T sensors by name; one tree, checked when made (`RobotError`)."""
 
@@ -172,6 +172,9 @@ class Robot:
 
     def __post_init__(self) -> None:
         raise_all(RobotError, f"robot {self.name!r}", faults(self.links, self.joints))
+
+    def __repr__(self) -> str:
+        return f"Robot({self.name!r}, {len(self.links)} links, {len(self.sensors)} F/T sensors)"
 
     @property
     def mass(self) -> float:
@@ -247,7 +250,8 @@ class Robot:
     def free_half(self, sensor: str, contacts: Sequence[str]) -> Half:
         """Return the half of the robot beyond `sensor`, which holds none of the `contacts`.
 
-        `RobotError` where both halves are touched, or where the free half has no mass.
+        `RobotError` where both halves are touched, or where the free half has no mass. Without
+        contacts both are free, and it is the child's.
         """
         cut = self.sensor(sensor)
         child_links = tuple(_outwards([cut.child], self.joints))

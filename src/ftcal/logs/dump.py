@@ -9,6 +9,7 @@ board's first group is the joint positions. The last line is often cut where the
 from __future__ import annotations
 
 import re
+from collections.abc import Collection
 from dataclasses import dataclass, replace
 from os import SEEK_END
 from pathlib import Path
@@ -82,7 +83,7 @@ class Samples:
     stamps: Int[Array, "N"]
     """Nanoseconds since the Unix epoch, as logged: repeated or disordered ones included."""
     values: Float[Array, "N K"]
-    """The first group, or all values where they are not grouped."""
+    """The fields asked for, by column."""
     truncated: bool
     """Whether an incomplete last line was left out."""
 
@@ -91,16 +92,29 @@ NOTHING = Samples(np.empty(0, np.int64), np.empty(0, np.int64), np.empty((0, 0))
 """What a port logs that nobody wrote to."""
 
 
+def first_line(file: Path) -> bytes:
+    """Return the first line of a `data.log`, b"" where not even that is whole."""
+    return _ends(file)[0]
+
+
 def numeric(file: Path) -> bool:
     """Return whether the first line of a `data.log` looks like numbers."""
-    fields = _ends(file)[0].translate(None, _MARKS).split()
+    fields = first_line(file).translate(None, _MARKS).split()
     return len(fields) > 2 and all(_is_number(field) for field in fields)
 
 
-def parse(file: Path, *, both_stamps: bool | None, scale: float = 1.0) -> Samples:
+def parse(
+    file: Path,
+    *,
+    both_stamps: bool | None,
+    scale: float = 1.0,
+    fields: Collection[int] | None = None,
+) -> Samples:
     """Return the samples in the `data.log` at `file`, with values times `scale`.
 
-    Raises `LogError` naming the first line that is not like the others, or not a number.
+    `fields` are the fields of a line that are values; None: the first group, or all after the
+    stamps where nothing is grouped. Raises `LogError` naming the first line that is not like the
+    others, or not a number.
     """
     first, spare = _ends(file)
     grouped = b"(" in first
@@ -115,6 +129,8 @@ def parse(file: Path, *, both_stamps: bool | None, scale: float = 1.0) -> Sample
     if not first or (spare and not text):
         return replace(NOTHING, truncated=spare > 0)
     used, status, width = _used_columns(first, both_stamps)
+    if fields is not None:
+        used, status = list(fields), []
     if not used:
         raise LogError(f"{file}, line 1: no counter, time and values; is this a YARP log?")
     names = [str(column) for column in range(width)]

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from ftcal.errors import LogError
-from ftcal.logs import columns, dump
+from ftcal.logs import columns, dump, measures
 from ftcal.logs.columns import Note, Streams
 from ftcal.logs.dump import CONNECTION, SAMPLES
 from ftcal.logs.layout import WRENCH_AXES, Layout, part_joints
@@ -24,6 +24,9 @@ from ftcal.recording import NANOSECONDS, Signal
 
 NUMBERED = re.compile(r"_\d{5}$")
 """What the dumper appends to the name of a folder that is there already."""
+
+MEASURES = "measures"
+"""Role of a port that carries sensors of several kinds."""
 
 _INERTIAL = ("roll", "pitch", "yaw", "ax", "ay", "az", "gx", "gy", "gz", "mx", "my", "mz")
 
@@ -36,7 +39,7 @@ class Port:
     name: str
     """The port without the robot's name, such as `right_leg/analog:o`."""
     role: str
-    """The field of `Streams` that it fills; "" where it is not read."""
+    """The field of `Streams` that it fills, or `MEASURES`; "" where it is not read."""
     link: dump.Connection
     """What `info.log` says."""
 
@@ -71,6 +74,8 @@ def read(root: Path, ports: Sequence[Port], layout: Layout) -> tuple[Streams, li
     if not sessions:
         return Streams(notes=tuple(notes)), sums
     signal = _join(sorted(sessions, key=lambda s: int(s.stamps[0])), ports)
+    if ports[0].role == MEASURES:
+        return measures.split(signal, tuple(notes)), sums
     return Streams(notes=tuple(notes), **{ports[0].role: (signal,)}), sums
 
 
@@ -78,10 +83,14 @@ def _session(port: Port, layout: Layout) -> tuple[Signal, list[Note]]:
     """Return the samples of one folder as a signal, and what was noticed."""
     link = port.link
     scale = np.pi / 180 if port.role == "joints" and layout.angle != "rad" else 1.0
-    samples = dump.NOTHING
+    samples, fields = dump.NOTHING, None
     if port.samples.is_file():
-        samples = dump.parse(port.samples, both_stamps=link.both_stamps, scale=scale)
+        if port.role == MEASURES:
+            fields = measures.fields(dump.first_line(port.samples))
+        samples = dump.parse(port.samples, both_stamps=link.both_stamps, scale=scale, fields=fields)
     values, names = samples.values, _names(port, samples.values.shape[1], layout)
+    if fields is not None:
+        names = tuple(fields.values()) if len(samples.stamps) else ()
     used = [column for column, title in enumerate(names) if title]
     if len(used) < len(names):
         values, names = values[:, used], tuple(names[column] for column in used)
@@ -133,7 +142,7 @@ def _title(port: Port, layout: Layout) -> str:
 
 def _names(port: Port, logged: int, layout: Layout) -> tuple[str, ...]:
     """Return a name for each of the `logged` columns of `port`, "" for those to leave out."""
-    if not logged:
+    if not logged or port.role == MEASURES:
         return ()
     name = port.name
     match port.role:

@@ -20,7 +20,7 @@ _BLOCK = 4 << 20  # bytes a thread parses at once
 
 
 def load_csv(file: Path, layout: Layout) -> Any:
-    """Return the Arrow table of a CSV `file`, delimited by whichever of , ; tab its header has most.
+    """Return the Arrow table of a CSV `file`; its header says which of , ; tab delimits.
 
     Raises `LogError` for an empty file and what Arrow raises for one that is no table.
     """

@@ -9,6 +9,7 @@ silent, from the folder. A folder whose name ends in `_00001`, … is a later se
 | `<part>/state:o`, `<part>/stateExt:o` | joints, first group = positions | deg → rad |
 | `…/analog:o` | F/T channels, exactly as logged | N, Nm, or counts |
 | `…/temperature:o` | temperature | as logged |
+| `…/measures:o` | F/T channels, temperatures, imus, by its nested lists | as logged |
 | `…/inertial…` | imus, exactly as logged | deg, m/s^2, deg/s, … |
 
 Ports of other names are left alone unless the layout names them.
@@ -19,10 +20,10 @@ from __future__ import annotations
 from pathlib import Path
 
 from ftcal.errors import LogError, unknown
-from ftcal.logs import columns, dump, port
+from ftcal.logs import columns, dump, measures, port
 from ftcal.logs.dump import CONNECTION, SAMPLES
 from ftcal.logs.layout import Layout
-from ftcal.logs.port import NUMBERED, Port
+from ftcal.logs.port import MEASURES, NUMBERED, Port
 from ftcal.logs.yarp_writer import write
 from ftcal.recording import Recording
 
@@ -84,6 +85,8 @@ def _open(folder: Path, layout: Layout) -> Port:
     link = dump.connection(text, str(file))
     name = _name(folder, link.port)
     role = _role(name, layout) if link.bottle else ""
+    if role == MEASURES and log.is_file() and not measures.fields(dump.first_line(log)):
+        role = ""  # encoders, skin: nothing that is read
     if link.bottle and not (role or link.port) and log.is_file() and dump.numeric(log):
         raise LogError(f"{folder}: no info.log says what port {name!r} is;"
                        " name it in the layout as joints or channels")  # fmt: skip
@@ -110,5 +113,5 @@ def _role(name: str, layout: Layout) -> str:
             return role
     ending = name.rpartition("/")[2]
     habits = {"state:o": "joints", "stateExt:o": "joints", "analog:o": "channels",
-              "temperature:o": "temperatures"}  # fmt: skip
+              "temperature:o": "temperatures", "measures:o": MEASURES}  # fmt: skip
     return "imus" if ending.startswith("inertial") else habits.get(ending, "")

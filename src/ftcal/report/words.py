@@ -1,0 +1,91 @@
+"""Words and numbers as a person reads them in the report."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from ftcal.fit import Fit
+from ftcal.verdict import Verdict
+
+DASH = "–"
+"""Stands where there is no number."""
+
+MARKS = {"ACCEPT": "✓", "PARTIAL": "◐", "REFUSE": "✗"}
+"""A verdict's sign: colour alone says nothing to one reader in twelve, nor on a grey print."""
+
+WHISKER_WIDTH = 150
+"""Pixels from 0 to `WHISKER_END` percent."""
+WHISKER_END = 200.0
+"""Percent of the Workbench's error at the right end of a whisker."""
+
+
+def sentence(verdicts: Sequence[Verdict]) -> str:
+    """Return what to do: `use fy, fz, tx; keep the Workbench for fx, ty, tz`."""
+    use = [verdict.axis for verdict in verdicts if verdict.use]
+    keep = [verdict.axis for verdict in verdicts if not verdict.use]
+    if not keep:
+        return "use the new matrix on every axis"
+    if not use:
+        return "keep the Workbench matrix on every axis"
+    return f"use {', '.join(use)}; keep the Workbench for {', '.join(keep)}"
+
+
+def strength(fit: Fit) -> str:
+    """Return how strongly the Workbench was believed."""
+    if fit.kappa is None:
+        return f"the paper's lambda = {fit.penalty:g} (given by the job)"
+    how = "given by the job" if fit.choice is None else "chosen by blocked cross-validation"
+    return (
+        f"kappa = {fit.kappa[0]:.3g}: entries of the secondary matrix are believed to lie within"
+        f" {100 * fit.kappa[0]:.2g} % of full scale of the Workbench ({how})"
+    )
+
+
+def figures(value: float | None, digits: int = 3) -> str:
+    """Return a number with few digits, a dash where there is none."""
+    if value is None or not math.isfinite(value):
+        return DASH
+    return f"{value:.{digits}g}".replace("-", "−")
+
+
+def fixed(value: float, places: int = 2) -> str:
+    """Return a number with a fixed number of decimals, a dash where it is not finite."""
+    return f"{value:.{places}f}".replace("-", "−") if math.isfinite(value) else DASH
+
+
+def percent(fraction: float) -> str:
+    """Return a fraction in percent, two digits where it is small."""
+    if not math.isfinite(fraction):
+        return DASH
+    value = 100.0 * fraction
+    return f"{value:.2g} %" if abs(value) < 10 else f"{value:.0f} %"
+
+
+def span(interval: tuple[float, float]) -> str:
+    """Return a range of loads: `−31.2 … 4.05`."""
+    return f"{figures(interval[0])} … {figures(interval[1])}"
+
+
+def mark(word: str) -> str:
+    """Return the sign of a verdict."""
+    return MARKS[word]
+
+
+def whisker(value: float) -> float:
+    """Return the place of a percentage on the whisker's scale [pixel], clipped at its end."""
+    if not math.isfinite(value):
+        return float(WHISKER_WIDTH)
+    return round(WHISKER_WIDTH * min(max(value, 0.0), WHISKER_END) / WHISKER_END, 1)
+
+
+TEXT_FILTERS: dict[str, Callable[..., Any]] = {
+    "figures": figures,
+    "fixed": fixed,
+    "percent": percent,
+    "span": span,
+    "mark": mark,
+    "whisker": whisker,
+}
+"""What the templates call these by."""
