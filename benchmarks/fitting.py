@@ -1,7 +1,7 @@
 """100 lambdas on 8 recordings from their moments, against one least squares a lambda and samples.
 
-The reference is what an engineer writes: centre, stack, append the penalty's rows, `lstsq`. Both run
-on one pinned core, in turn; medians over the rounds. Run as `python benchmarks/fitting.py`.
+The reference is what an engineer writes: centre, stack, append the penalty's rows, `lstsq`. Both
+run on one pinned core, in turn; medians over the rounds. Run as `python benchmarks/fitting.py`.
 """
 
 from __future__ import annotations
