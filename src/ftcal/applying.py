@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import tempfile
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
 from ftcal.calibration import Calibration, Offset, SensorCalibration
-from ftcal.errors import DataError, unknown
+from ftcal.errors import DataError, OutputError, unknown
+from ftcal.logs import tables
 from ftcal.recording import Recording, Signal
 from ftcal.sensor import AXES
 from ftcal.signals import interpolate
@@ -80,7 +83,27 @@ def corrected_signal(
     channels = sensor.workbench().channels(signal.values[kept])
     return Signal(
         sensor.sensor,
-        tuple(f"{sensor.sensor}.{axis}" for axis in AXES),
+        AXES,
         signal.stamps[kept],
         model.wrench(channels, temperature),
     )
+
+
+def write_table(recording: Recording, path: Path) -> None:
+    """Write the signals of a recording, whole or not at all.
+
+    `*.csv` and `*.parquet` are one table, for signals of one clock; a name without a suffix is a
+    folder of Parquet files, one a signal. Raises `OutputError`.
+    """
+    if path.suffix.lower() not in {"", ".csv", ".parquet"}:
+        raise OutputError(f"{path}: unknown table {path.suffix!r}; use .csv, .parquet or a folder")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(dir=path.parent, prefix=f".{path.name}.") as scratch:
+            made = Path(scratch) / path.name
+            tables.write(recording, made)
+            made.replace(path)
+    except OSError as error:
+        raise OutputError(
+            f"{path}: cannot be written ({error.strerror or error}); name another place with -o"
+        ) from error

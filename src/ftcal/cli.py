@@ -195,7 +195,7 @@ def validate(calibration: Path, job: Path, machine: bool) -> None:
 @main.command()
 @click.argument("calibration", type=TEXT)
 @click.argument("log", type=TEXT)
-@click.option("-o", "--output", type=TEXT, required=True, help="Table: .csv or .parquet.")
+@click.option("-o", "--output", type=TEXT, required=True, help="Table (.csv, .parquet) or folder.")
 @click.option(
     "--offset",
     default="auto",
@@ -206,11 +206,11 @@ def validate(calibration: Path, job: Path, machine: bool) -> None:
 def apply(calibration: Path, log: Path, output: Path, offset: str) -> None:
     """Recalibrate LOG: write the corrected wrenches of every calibrated sensor that it carries."""
     from ftcal import logs
-    from ftcal.applying import corrected
+    from ftcal.applying import corrected, write_table
     from ftcal.calibration import read_calibration
 
     recording, used = corrected(read_calibration(calibration), logs.read(log), offset)
-    logs.write_table(recording, output)
+    write_table(recording, output)
     for sensor, source in used.items():
         click.echo(f"{sensor}: offset of {source}")
     click.echo(f"wrote {output}")
