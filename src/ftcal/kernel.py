@@ -47,7 +47,8 @@ class WrenchKernel:
         results = [np.empty((count, 6)) for _ in range(self.outputs)]
         scratch = np.zeros((self.rows + 1) * ROW + 8)
         aligned = -(-scratch.ctypes.data // 64) * 64
-        places = [(column.strides[0], column.ctypes.data) for column in columns]
+        # `.ctypes.data` costs a microsecond a column
+        places = [(c.strides[0], c.__array_interface__["data"][0]) for c in columns]
         blocks = _blocks(places, self.rows * ROW, self.width)
         ahead = _ahead(places, self.sections)
         targets = np.array([result.ctypes.data for result in results], dtype=np.int64)

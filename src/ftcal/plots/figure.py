@@ -42,7 +42,7 @@ POINTS = 2000
 HOLE = 5.0
 """A pause this many sampling periods long breaks a curve."""
 
-LONGEST_TITLE = 70
+LONGEST_TITLE = 110
 """Characters of a title; a longer name ends in an ellipsis, the caption has it in full."""
 
 FONT = {"family": "system-ui, -apple-system, 'Segoe UI', sans-serif", "size": 12, "color": "#222"}
@@ -109,8 +109,7 @@ def thinned(values: Float[Array, "N"], points: int = POINTS) -> Int[Array, "M"]:
         return np.arange(len(values))
     bins = points // 2
     width = -(-len(values) // bins)
-    table = np.full(bins * width, np.nan)
-    table[: len(values)] = values
+    table = np.pad(values, (0, bins * width - len(values)), constant_values=np.nan)
     table = table.reshape(bins, width)
     first = np.arange(bins) * width
     least = first + np.where(np.isnan(table), np.inf, table).argmin(axis=1)
@@ -155,7 +154,7 @@ def base_layout(title: str, height: int) -> dict[str, Any]:
         "font": FONT,
         "paper_bgcolor": "#fff",
         "plot_bgcolor": "#fff",
-        "margin": {"l": 56, "r": 14, "t": 62, "b": 44},
+        "margin": {"l": 56, "r": 14, "t": 56, "b": 44},
         "legend": {"orientation": "h", "x": 0, "y": 1, "yref": "paper", "yanchor": "bottom"},
         "hovermode": "closest",
     }
@@ -185,7 +184,7 @@ def six_panels(title: str, height: int, x_title: str, *, shared_x: bool = True) 
     row = (1 - 2 * gap) / 3
     for i, (axis, unit) in enumerate(zip(AXES, UNITS, strict=True)):
         top = 1 - (i % 3) * (row + gap)
-        domain = [0.0, 0.46] if i < 3 else [0.54, 1.0]
+        domain = [0.0, 0.45] if i < 3 else [0.56, 1.0]
         number = "" if i == 0 else str(i + 1)
         bottom = i % 3 == 2
         layout[f"xaxis{number}"] = plain_axis(

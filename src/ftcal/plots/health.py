@@ -49,7 +49,7 @@ def health_timeline(recording: Recording, findings: Sequence[Finding]) -> Figure
     signals = [*recording.joints, *recording.channels, *recording.temperatures, *recording.imus]
     names = list(dict.fromkeys([*(s.name for s in signals), *(f.signal for f in findings)]))
     rows = {name: number for number, name in enumerate(names)}
-    layout = base_layout(f"{recording.name}: data health", 110 + 24 * len(rows))
+    layout = base_layout(f"{recording.name}: data health", 150 + 24 * len(rows))
     logged: dict[str, Any] = {
         "type": "scatter",
         "mode": "lines",
@@ -71,7 +71,10 @@ def health_timeline(recording: Recording, findings: Sequence[Finding]) -> Figure
             some = [f for f in findings if f.kind == kind and f.cut == cut]
             if some:
                 traces.append(spans(kind, cut, some, rows, (colour, hatch), least))
-    layout["xaxis"] = plain_axis("time [s]")
+    first = min([0.0, *(f.start for f in findings)])
+    last = max([recording.duration, *(f.stop for f in findings)])
+    pad = 0.01 * (last - first)
+    layout["xaxis"] = plain_axis("time [s]", range=[first - pad, last + pad], zeroline=False)
     layout["yaxis"] = plain_axis(
         "",
         autorange="reversed",
@@ -83,7 +86,9 @@ def health_timeline(recording: Recording, findings: Sequence[Finding]) -> Figure
         zeroline=False,
     )
     layout["barmode"] = "overlay"
-    layout["margin"] |= {"t": 72}
+    # below: many kinds need several lines
+    layout["legend"] |= {"yref": "container", "y": 0, "yanchor": "bottom"}
+    layout["margin"] |= {"t": 36, "b": 110}
     return {"data": traces, "layout": layout}
 
 
@@ -103,14 +108,20 @@ def spans(
         "base": [f.start for f in findings],
         "x": [max(f.stop - f.start, least) for f in findings],
         "y": [rows[f.signal] + (0.0 if cut else 0.32) for f in findings],
-        "width": 0.62 if cut else 0.2,
+        "width": 0.62 if cut else 0.14,
         "name": f"{kind}, {'cut' if cut else 'note'}",
         "marker": {
             "color": colour,
-            "pattern": {"shape": hatch, "fgcolor": "#fff", "size": 5, "solidity": 0.25},
+            "pattern": {
+                "shape": hatch,
+                "fgcolor": "#fff",
+                "fillmode": "overlay",
+                "size": 5,
+                "solidity": 0.25,
+            },
             "line": {"color": colour, "width": 0.8},
         },
-        "opacity": 1.0 if cut else 0.75,
+        "opacity": 1.0 if cut else 0.6,
         "hovertext": [wrapped(f.message) for f in findings],
         "hovertemplate": "%{hovertext}<extra></extra>",
     }

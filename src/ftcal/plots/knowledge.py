@@ -28,6 +28,8 @@ if TYPE_CHECKING:
 BLUES = [[0.0, "#ffffff"], [1.0, BLUE]]
 """White where the prior speaks, blue where the data do."""
 
+PERCENT_TICKS = [5, 10, 20, 30, 50, 70, 100, 150, 200, 300, 500, 1000, 2000, 5000, 10000]
+
 DIVERGING = [[0.0, VERMILLION], [0.5, "#ffffff"], [1.0, BLUE]]
 
 
@@ -47,25 +49,24 @@ def directions(names: str, excitation: Excitation) -> Figure:
     drawn = np.concatenate([sd[sd > 0], noise[noise > 0]])
     reach = [drawn.min() / 2, drawn.max() * 2] if len(drawn) else [0.1, 1.0]
     labels = [f"{i + 1}.  {plain(d.words)}" for i, d in enumerate(seen)]
-    marks = [
-        "excited" if d.excited else f"below {LEAST_SIGNAL:g} × noise: prior alone" for d in seen
+    bars = [
+        {
+            "type": "bar",
+            "orientation": "h",
+            "x": [float(sd[i]) for i in rows if seen[i].excited == excited],
+            "y": [i for i in rows if seen[i].excited == excited],
+            "width": 0.62,
+            "name": name,
+            "marker": {"color": colour, "line": {"color": "#444", "width": 0.6}}
+            | {"pattern": {"shape": hatch, "fgcolor": "#555", "fillmode": "overlay"}},
+            "hovertemplate": "%{x:.3g} % of full scale",
+        }
+        for excited, name, colour, hatch in (
+            (True, "excited", BLUE, ""),
+            (False, f"below {LEAST_SIGNAL:g} × noise: the prior alone speaks", "#d0d0d0", "/"),
+        )
+        if any(d.excited == excited for d in seen)
     ]
-    bars: dict[str, Any] = {
-        "type": "bar",
-        "orientation": "h",
-        "x": sd.tolist(),
-        "y": rows,
-        "width": 0.62,
-        "name": "spread of the data",
-        "marker": {
-            "color": [BLUE if d.excited else "#d0d0d0" for d in seen],
-            "pattern": {"shape": ["" if d.excited else "/" for d in seen], "fgcolor": "#555"},
-            "line": {"color": "#444", "width": 0.6},
-        },
-        "text": marks,
-        "hovertemplate": "%{x:.3g} % of full scale, %{text}",
-        "textposition": "none",
-    }
     ticks: dict[str, Any] = {
         "type": "scatter",
         "mode": "markers",
@@ -112,7 +113,8 @@ def directions(names: str, excitation: Excitation) -> Figure:
         showgrid=False,
         zeroline=False,
     )
-    return {"data": [bars, ticks, heat], "layout": layout}
+    layout["barmode"] = "overlay"
+    return {"data": [*bars, ticks, heat], "layout": layout}
 
 
 def prior_curve(names: str, choice: PriorChoice) -> Figure:
@@ -148,10 +150,19 @@ def prior_curve(names: str, choice: PriorChoice) -> Figure:
     layout["xaxis"] = plain_axis(
         "kappa, prior standard deviation [fraction of full scale]", type="log", dtick=1
     )
-    layout["yaxis"] = plain_axis("held-out RMS [% of Workbench]", type="log", dtick="D2")
+    layout["yaxis"] = plain_axis("held-out RMS [% of Workbench]", type="log")
+    layout["yaxis"] |= {"tickmode": "array", "tickvals": PERCENT_TICKS}
     layout["hovermode"] = "x"
     layout["shapes"] = [
-        vertical(choice.chosen, f"chosen {choice.chosen:.3g}"),
+        {
+            "type": "line",
+            "yref": "paper",
+            "x0": choice.chosen,
+            "x1": choice.chosen,
+            "y0": 0,
+            "y1": 1,
+            "line": {"color": BLACK, "width": 1.5, "dash": "dash"},
+        },
         {
             "type": "line",
             "xref": "paper",
@@ -163,21 +174,19 @@ def prior_curve(names: str, choice: PriorChoice) -> Figure:
             "label": {"text": "Workbench", "textposition": "end", "font": {"size": 10}},
         },
     ]
+    layout["annotations"] = [
+        {
+            "text": f"chosen {choice.chosen:.3g}",
+            "showarrow": False,
+            "x": float(np.log10(choice.chosen)),  # annotations count a logarithmic axis in powers
+            "xanchor": "left",
+            "yref": "paper",
+            "y": 0.01,
+            "yanchor": "bottom",
+            "xshift": 4,
+        }
+    ]
     return {"data": traces, "layout": layout}
-
-
-def vertical(x: float, text: str) -> dict[str, Any]:
-    """Return a labelled vertical line over the whole panel."""
-    return {
-        "type": "line",
-        "yref": "paper",
-        "x0": x,
-        "x1": x,
-        "y0": 0,
-        "y1": 1,
-        "line": {"color": BLACK, "width": 1.5, "dash": "dash"},
-        "label": {"text": text, "textposition": "start", "font": {"size": 11}},
-    }
 
 
 def truth_maps(

@@ -43,10 +43,13 @@ LINES: dict[str, dict[str, Any]] = {
 }
 """The same three curves in every figure: broad grey, dotted vermillion, thin blue."""
 
-MARKERS = {MODEL: "circle", WORKBENCH: "x", IN_SITU: "diamond"}
+MARKERS = {MODEL: "circle", WORKBENCH: "square-open", IN_SITU: "diamond"}
 
 IN_SPACE = 1200
 """Points of a cloud in space: more hide one another."""
+
+THINNEST = 0.6
+"""Least side of the box around a cloud in space, of its longest."""
 
 GLIMPSE = 6.0
 """Seconds that show what smoothing does."""
@@ -89,19 +92,21 @@ def wrench_in_time(sensor: str, background: Samples, pieces: Sequence[Piece]) ->
         for axis in range(6):
             traces.append(curve(times, values[:, axis], axis, LINES[name], name))
     layout["shapes"] = window_shades(pieces)
+    layout["annotations"] = window_names(pieces)
+    layout["legend"]["y"] = 1.03  # above the windows' names
+    layout["margin"] |= {"t": 70}
     layout["hovermode"] = "x"
     return {"data": traces, "layout": layout}
 
 
 def window_shades(pieces: Sequence[Piece]) -> list[dict[str, Any]]:
-    """Return a labelled rectangle behind every panel for every window."""
+    """Return a rectangle behind every panel for every window."""
     shades = []
     for piece in pieces:
         if not len(piece.reading.time):
             continue
         colour = SKY if piece.role == "train" else ORANGE
         for axis in range(6):
-            label = {"text": piece.role, "textposition": "top left", "font": {"size": 10}}
             shades.append(
                 {
                     "type": "rect",
@@ -115,10 +120,28 @@ def window_shades(pieces: Sequence[Piece]) -> list[dict[str, Any]]:
                     "fillcolor": colour,
                     "opacity": 0.18,
                     "line": {"width": 0},
-                    "label": label if axis in (0, 3) else {},
                 }
             )
     return shades
+
+
+def window_names(pieces: Sequence[Piece]) -> list[dict[str, Any]]:
+    """Return `train` or `test` over every window of the two uppermost panels."""
+    return [
+        {
+            "text": piece.role,
+            "showarrow": False,
+            "xref": axis_id("x", axis),
+            "yref": f"{axis_id('y', axis)} domain",
+            "x": 0.5 * float(piece.reading.time[0] + piece.reading.time[-1]),
+            "y": 1,
+            "yanchor": "bottom",
+            "font": {"size": 11},
+        }
+        for piece in pieces
+        if len(piece.reading.time)
+        for axis in (0, 3)
+    ]
 
 
 def residuals_in_time(sensor: str, kind: str, pieces: Sequence[HeldOut]) -> Figure:
@@ -171,7 +194,9 @@ def residual_spread(sensor: str, kind: str, pieces: Sequence[HeldOut]) -> Figure
             count = np.histogram(table[:, axis], edges)[0]
             traces.append(
                 {
-                    **curve(0.5 * (edges[1:] + edges[:-1]), count / len(table) * 100, axis, {}, name),
+                    **curve(
+                        0.5 * (edges[1:] + edges[:-1]), count / len(table) * 100, axis, {}, name
+                    ),
                     "line": {**LINES[name], "shape": "hvh"},
                     "fill": "tozeroy",
                     "fillcolor": "rgba(213,94,0,0.10)"
@@ -206,11 +231,17 @@ def forces_in_space(sensor: str, pieces: Sequence[Piece]) -> Figure:
                 "hovertemplate": "%{x:.3g}, %{y:.3g}, %{z:.3g} N",
             }
         )
+    force = np.concatenate([piece.reading.model[:, :3] for piece in pieces])
+    reach = np.maximum(np.ptp(force, axis=0), np.finfo(float).tiny)
+    # to scale, but no side so thin that its axis cannot be read
+    sides = np.maximum(reach / reach.max(), THINNEST)
     layout["scene"] = {
         **{f"{axis}axis": {"title": {"text": f"f{axis} [N]"}} for axis in "xyz"},
-        "aspectmode": "data",
-        "camera": {"eye": {"x": 1.5, "y": 1.5, "z": 0.9}},
+        "aspectmode": "manual",
+        "aspectratio": {axis: float(side) for axis, side in zip("xyz", sides, strict=True)},
+        "camera": {"eye": {"x": 1.2, "y": 1.2, "z": 0.5}, "center": {"x": 0, "y": 0, "z": -0.12}},
     }
+    layout["legend"]["itemsizing"] = "constant"
     layout["margin"] |= {"l": 0, "r": 0, "b": 0}
     return {"data": traces, "layout": layout}
 

@@ -54,7 +54,7 @@ class Truth:
     def z(self) -> Float[Array, "6 K"]:
         """Error of every entry over its standard deviation; NaN where that is zero."""
         error = self.estimate - self.truth
-        return np.divide(error, self.sd, out=np.full_like(error, np.nan), where=self.sd > 0)
+        return np.asarray(np.divide(error, self.sd, np.full_like(error, np.nan), where=self.sd > 0))
 
     @property
     def rms(self) -> float:

@@ -44,15 +44,18 @@ def strength(fit: Fit) -> str:
 
 
 def figures(value: float | None, digits: int = 3) -> str:
-    """Return a number with few digits, a dash where there is none."""
+    """Return a number with `digits` significant digits, a dash where there is none."""
     if value is None or not math.isfinite(value):
         return DASH
-    return f"{value:.{digits}g}".replace("-", "−")
+    return f"{value:#.{digits}g}".removesuffix(".").replace("-", "−")
 
 
 def fixed(value: float, places: int = 2) -> str:
     """Return a number with a fixed number of decimals, a dash where it is not finite."""
-    return f"{value:.{places}f}".replace("-", "−") if math.isfinite(value) else DASH
+    if not math.isfinite(value):
+        return DASH
+    rounded = round(value, places) + 0.0  # never −0
+    return f"{rounded:.{places}f}".replace("-", "−")
 
 
 def percent(fraction: float) -> str:
@@ -60,7 +63,7 @@ def percent(fraction: float) -> str:
     if not math.isfinite(fraction):
         return DASH
     value = 100.0 * fraction
-    return f"{value:.2g} %" if abs(value) < 10 else f"{value:.0f} %"
+    return f"{value:.2g}\u00a0%" if abs(value) < 10 else f"{value:.0f}\u00a0%"
 
 
 def span(interval: tuple[float, float]) -> str:
