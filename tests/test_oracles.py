@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -196,18 +197,25 @@ def test_every_reading_of_the_sensor_tag_is_that_of_idyntree(tags: str, tmp_path
             assert_same(expected_wrenches(robot, motion, contact, ["wrist"]), expected)
 
 
-def test_pinocchio_feels_the_opposite_of_child_to_parent() -> None:
-    """Pinocchio lumps fixed joints: the F/T joint gets a degree of freedom that stays at zero."""
+def pinocchio_wrenches(
+    text: str, robot: Robot, motion: Motion, sensors: list[str]
+) -> dict[str, Float[Array, "N 6"]]:
+    """Return what Pinocchio says the parent does to the child, the root link standing still.
+
+    It lumps fixed joints: each F/T joint gets a degree of freedom that stays at zero.
+    """
     pin = pytest.importorskip("pinocchio")
-    text = LIMB.format(tags="<force_torque/>")  # child frame, child to parent
-    robot = parse_robot(text)
-    motion = motion_of(robot, 7)
-    free = text.replace('name="ft" type="fixed">', 'name="ft" type="revolute">' + LIMIT)
+    joints = {name: robot.sensor(name).joint for name in sensors}
+    for joint in joints.values():
+        text, count = re.subn(
+            rf'(<joint name="{joint}" type=)"fixed">', rf'\1"revolute">{LIMIT}', text
+        )
+        assert count == 1
     # a continuous joint is two numbers to Pinocchio
-    its = pin.buildModelFromXML(free.replace('"continuous"', '"revolute"'))
+    its = pin.buildModelFromXML(text.replace('"continuous"', '"revolute"'))
     memory = its.createData()
     its.gravity.linear = np.array([0.0, 0.0, -9.80665])
-    expected = np.empty((len(motion), 6))
+    felt = {name: np.empty((len(motion), 6)) for name in sensors}
     names = list(its.names)[1:]
     for n in range(len(motion)):
         state = []
@@ -215,6 +223,27 @@ def test_pinocchio_feels_the_opposite_of_child_to_parent() -> None:
             row = dict(zip(motion.joints, signal[n], strict=True))
             state.append(np.array([row.get(name, 0.0) for name in names]))
         pin.rnea(its, memory, *state)
-        expected[n] = -memory.f[its.getJointId("ft")].vector
+        for name, joint in joints.items():
+            felt[name][n] = memory.f[its.getJointId(joint)].vector
+    return felt
+
+
+def test_pinocchio_feels_the_opposite_of_child_to_parent() -> None:
+    text = LIMB.format(tags="<force_torque/>")  # child frame, child to parent
+    robot = parse_robot(text)
+    motion = motion_of(robot, 7)
+    opposite = pinocchio_wrenches(text, robot, motion, ["wrist"])["wrist"]
     actual = expected_wrenches(robot, motion, FixedContact("base"), ["wrist"])
-    assert_same(actual, {"wrist": expected})
+    assert_same(actual, {"wrist": -opposite})
+
+
+def test_pinocchio_agrees_on_all_six_sensors_of_an_icub() -> None:
+    text = model("iCubGenova03").read_text()
+    robot = read_robot(model("iCubGenova03"))
+    sensors = [s.name for s in robot.sensors.values() if s.frame == "child"]
+    assert len(sensors) == 6
+    motion = motion_of(robot, 8)
+    felt = pinocchio_wrenches(text, robot, motion, sensors)
+    sign = {name: -1.0 if robot.sensor(name).acts_on == "parent" else 1.0 for name in sensors}
+    actual = expected_wrenches(robot, motion, FixedContact("root_link"), sensors)
+    assert_same(actual, {name: sign[name] * wrench for name, wrench in felt.items()})

@@ -10,13 +10,13 @@ from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
 
-import golden
 import numpy as np
-import pretend
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+import golden
+import pretend
 from ftcal import report
 from ftcal.calibration import Calibration, Input, Provenance
 from ftcal.config import Job
@@ -24,6 +24,7 @@ from ftcal.errors import OutputError, SensorError
 from ftcal.evidence import sensor_calibration
 from ftcal.fit import FitOptions, fit
 from ftcal.folds import cells
+from ftcal.moments import within
 from ftcal.one_sensor import SensorOutcome, deployed, validate_by_folds
 from ftcal.pairing import FtChannel, Paired
 from ftcal.pipeline import Outcome
@@ -104,7 +105,7 @@ def an_outcome(
     envelope = load_envelope(np.concatenate([segment.wrench for segment in training]))
     pieces = [held_out(s, found.estimate.coefficients, prior) for s in test]
     hold_out = score("hold-out", pieces, envelope) if pieces else None
-    k_fold = validate_by_folds(tiles, prior, options or FitOptions(), within_segments())
+    k_fold = validate_by_folds(tiles, prior, options or FitOptions(), within)
     verdicts = judge(found.excitation, hold_out or k_fold)
     findings = (
         Finding("frozen", signal, 10.5, 11.0, True, f"{signal}: frozen from 10.5 to 11 s {name}"),
@@ -145,12 +146,6 @@ def an_outcome(
     return Outcome(job, robot, recordings, flat, (outcome,), calibration), truth
 
 
-def within_segments() -> Any:
-    from ftcal.moments import within
-
-    return within
-
-
 @pytest.fixture(scope="module")
 def walk() -> Outcome:
     return an_outcome()[0]
@@ -181,6 +176,8 @@ class Elements(HTMLParser):
             self.inside = tag
         elif tag in ("p", "li", "tr", "h1", "h2", "h3", "caption", "figcaption", "summary", "dt"):
             self.text.append("\n")
+        elif tag in ("br", "dd"):
+            self.text.append(" ")
         elif tag in ("td", "th"):
             self.text.append(" | ")
 
@@ -288,9 +285,7 @@ def test_names_from_a_log_stay_text() -> None:
 def test_plain_text_has_no_markup(text: str) -> None:
     shown = plain(text)
     assert "<" not in shown
-    assert html_text.unescape(shown) == "".join(c if c.isprintable() else " " for c in text) or (
-        "&" in text
-    )
+    assert html_text.unescape(shown) == "".join(c if c.isprintable() else " " for c in text)
 
 
 @given(
@@ -402,13 +397,19 @@ BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "
 
 PROBE = """<script>
 (async () => {
+  let seen = "";
   while (!document.body.dataset.drawn) await new Promise((r) => setTimeout(r, 50));
   for (const place of document.querySelectorAll(".plot")) {
     for (let curve = 0; curve < place.data.length; curve++) {
-      try { Plotly.Fx.hover(place, [{ curveNumber: curve, pointNumber: 0 }]); } catch {}
+      const trace = place.data[curve];
+      if (trace.type === "scatter3d") continue;
+      const panel = (trace.xaxis || "x") + (trace.yaxis || "y");
+      const pointNumber = trace.type === "heatmap" ? [0, 0] : 0;
+      Plotly.Fx.hover(place, [{ curveNumber: curve, pointNumber }], panel);
+      seen += [...place.querySelectorAll(".hoverlayer text")].map((t) => t.textContent).join(" ");
     }
   }
-  await new Promise((r) => setTimeout(r, 300));
+  document.body.dataset.seen = seen;
   document.body.dataset.probed = "yes";
 })();
 </script></body>"""
@@ -449,6 +450,7 @@ def test_browser_draws_every_figure_and_runs_nothing_from_a_log(tmp_path: Path) 
     body = next(attributes for tag, attributes in dom.found if tag == "body")
     assert body.get("data-drawn") == "yes", run.stderr
     assert body.get("data-probed") == "yes", run.stderr
+    assert "onerror=alert" in (body.get("data-seen") or "")
     classes = [(attributes.get("class") or "").split() for _, attributes in dom.found]
     plots = [c for c in classes if "plot" in c]
     assert len(plots) == len(drawn(text))

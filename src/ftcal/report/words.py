@@ -47,6 +47,8 @@ def figures(value: float | None, digits: int = 3) -> str:
     """Return a number with `digits` significant digits, a dash where there is none."""
     if value is None or not math.isfinite(value):
         return DASH
+    if 10**digits <= abs(value) < 1e6:
+        return f"{value:.0f}".replace("-", "−")
     return f"{value:#.{digits}g}".removesuffix(".").replace("-", "−")
 
 

@@ -12,7 +12,7 @@ find back, the motion did not show or the noise hid.
 from __future__ import annotations
 
 from ftcal.synthetic.folder import read_truth, write_session
-from ftcal.synthetic.sensor import PretendSensor, invent_workbench, mount
+from ftcal.synthetic.sensor import PretendSensor, invent_firmware, mount
 from ftcal.synthetic.session import Conditions, SensorTruth, Session, Take, simulate
 
 __all__ = [
@@ -21,7 +21,7 @@ __all__ = [
     "SensorTruth",
     "Session",
     "Take",
-    "invent_workbench",
+    "invent_firmware",
     "mount",
     "read_truth",
     "simulate",

@@ -130,8 +130,8 @@ def _truth(session: Session) -> Mapping[str, Any]:
                 if truth.temperature_gain is None
                 else truth.temperature_gain.tolist(),
                 "reference_temperature": truth.reference_temperature,
-                "workbench": truth.workbench.gain.tolist(),
-                "full_scale": truth.workbench.full_scale.tolist(),
+                "workbench": truth.firmware.matrix.tolist(),
+                "full_scale": truth.firmware.full_scale.tolist(),
             }
         }
     }

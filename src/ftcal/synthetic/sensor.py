@@ -16,7 +16,6 @@ import numpy as np
 from ftcal.errors import DataError, SensorError
 from ftcal.firmware import COUNTS, ONE, FirmwareMatrix, decode, encode
 from ftcal.health import NEAR_CEILING
-from ftcal.sensor import Workbench
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -81,7 +80,7 @@ class PretendSensor:
             raise DataError(
                 f"sensor {self.firmware.serial!r} saturates: channel {wide + 1} would span"
                 f" {high[wide] - low[wide]:.0f} counts, {2 * ceiling:.0f} are there; use a"
-                " Workbench of larger full scale, or a slower or smaller motion"
+                " sensor of larger full scale, or a slower or smaller motion"
             )
         wanted = generator.uniform(-largest, largest, size=6)
         return np.asarray(np.clip(wanted, -ceiling - low, ceiling - high))
@@ -92,16 +91,16 @@ class PretendSensor:
         return np.asarray(np.rint(counts @ self.firmware.matrix.T / step) * step)
 
 
-def invent_workbench(
+def invent_firmware(
     generator: np.random.Generator,
     *,
     serial: str = "SN900",
     full_scale: Sequence[int] | None = None,
-) -> Workbench:
-    """Return the Workbench of a sensor that does not exist, of the size of an iCub's.
+) -> FirmwareMatrix:
+    """Return the Workbench matrix of a sensor that does not exist, of the size of an iCub's.
 
-    Its matrix is what a firmware file holds, so it is read back bit for bit. `full_scale` [N, Nm]
-    are whole numbers, for robots of other sizes. Raises `SensorError` where they are not.
+    `full_scale` [N, Nm] are whole numbers, for robots of other sizes. Raises `SensorError` where
+    they are not.
     """
     drawn = np.concatenate(
         [
@@ -121,29 +120,14 @@ def invent_workbench(
     rows = rows + generator.normal(scale=CROSS_TALK, size=(6, 6))
     # a hair less than full scale: rounded words must not add up to more
     share = rows / np.abs(rows).sum(axis=1, keepdims=True) * (1.0 - 4.0 / ONE)
-    firmware = decode(encode(scale[:, None] * share / COUNTS, scale), serial=serial)
-    return of_firmware(firmware)
-
-
-def of_firmware(firmware: FirmwareMatrix) -> Workbench:
-    """Return the Workbench of a board whose log carries calibrated wrenches."""
-    scale = np.asarray(firmware.full_scale, dtype=np.float64)
-    return Workbench(firmware.serial, firmware.matrix, scale, "wrench", firmware)
+    return decode(encode(scale[:, None] * share / COUNTS, scale), serial=serial)
 
 
 def mount(
-    workbench: Workbench, generator: np.random.Generator, *, kappa: float = 0.03
+    firmware: FirmwareMatrix, generator: np.random.Generator, *, kappa: float = 0.03
 ) -> PretendSensor:
-    """Return the sensor bent by its mounting; `kappa` as in the scaled prior.
-
-    Raises `SensorError` where the Workbench is not that of a firmware file.
-    """
-    if workbench.firmware is None:
-        raise SensorError(
-            f"Workbench {workbench.name!r} has no firmware matrix to send wrenches with; read it"
-            " from a matrix_SN*.txt file"
-        )
-    F = np.asarray(workbench.firmware.full_scale, dtype=np.float64)
-    E = generator.normal(scale=kappa, size=(6, 6))
+    """Return the sensor bent by its mounting; `kappa` as in the scaled prior."""
+    F = np.asarray(firmware.full_scale, dtype=np.float64)
+    E = generator.normal(size=(6, 6)) * kappa
     secondary = np.eye(6) + F[:, None] * E / F
-    return PretendSensor(workbench.firmware, secondary, WARMTH * F * generator.normal(size=6))
+    return PretendSensor(firmware, secondary, WARMTH * F * generator.normal(size=6))

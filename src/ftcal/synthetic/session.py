@@ -15,13 +15,14 @@ import numpy as np
 
 from ftcal.dynamics import expected_wrenches
 from ftcal.errors import DataError, raise_all
+from ftcal.firmware import FirmwareMatrix
 from ftcal.logs.layout import ICUB_JOINTS, WRENCH_AXES
 from ftcal.motion import FixedContact
 from ftcal.motions import Trajectory
 from ftcal.recording import NANOSECONDS, Recording, Signal
 from ftcal.robot import Robot
-from ftcal.sensor import SensorModel, Workbench
-from ftcal.synthetic.sensor import PretendSensor, invent_workbench, mount
+from ftcal.sensor import SensorModel
+from ftcal.synthetic.sensor import PretendSensor, invent_firmware, mount
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Int
@@ -109,8 +110,8 @@ class SensorTruth:
     """S, `C = S C_w`."""
     offsets: Mapping[str, Float[Array, "6"]]
     """o [N, Nm] by recording."""
-    workbench: Workbench
-    """C_w, full scale and the words in the sensor's board: what is known beforehand."""
+    firmware: FirmwareMatrix
+    """C_w and full scale, as in the sensor's board: what is known beforehand."""
     temperature_gain: Float[Array, "6"] | None
     """k [N/K, Nm/K], None where the sensor did not warm up."""
     reference_temperature: float
@@ -145,22 +146,20 @@ def simulate(
     sensor: str,
     generator: np.random.Generator,
     signal: str | None = None,
-    workbench: Workbench | None = None,
+    firmware: FirmwareMatrix | None = None,
     conditions: Conditions | None = None,
 ) -> Session:
     """Return what the robot would log of `takes`, and the truth about its sensor.
 
     The same mounted sensor is in all takes; each has its own raw offset. `signal` names its log
-    (default: `<sensor>/analog:o`); `workbench` is a real one read from its firmware file (default:
-    an invented one). Raises `DataError` where take names repeat or the sensor would saturate,
-    `RobotError` for unknown names or a contact on both sides, `SensorError` for a Workbench
-    without a firmware matrix.
+    (default: `<sensor>/analog:o`); `firmware` is that of a real sensor (default: an invented one).
+    Raises `DataError` where take names repeat or the sensor would saturate, `RobotError` for
+    unknown names.
     """
     conditions = conditions or Conditions()
     _check(takes)
     name = robot.sensor(sensor).name
-    workbench = workbench or invent_workbench(generator)
-    mounted = mount(workbench, generator, kappa=conditions.kappa)
+    mounted = mount(firmware or invent_firmware(generator), generator, kappa=conditions.kappa)
     port = signal or f"{name}/analog:o"
     logger = _Logger(robot, name, port, mounted, conditions)
     recordings, offsets, start = [], {}, START
@@ -173,7 +172,7 @@ def simulate(
         mounted.gain,
         mounted.secondary,
         offsets,
-        workbench,
+        mounted.firmware,
         mounted.temperature_gain if conditions.warming else None,
         REFERENCE_TEMPERATURE,
     )
@@ -230,7 +229,9 @@ class _Logger:
         wrench, raw = self.sense(take, warmth, since[self.port] / NANOSECONDS, generator)
         felt = Signal(self.port, WRENCH_AXES, since[self.port] + start, wrench)
         joints = [
-            Signal(name, columns, since[name] + start, self.encode(trajectory, columns, since[name]))
+            Signal(
+                name, columns, since[name] + start, self.encode(trajectory, columns, since[name])
+            )
             for name, columns in ports.items()
         ]
         recording = Recording(
