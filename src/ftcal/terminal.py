@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
+from rich.padding import Padding
 from rich.table import Table
 from rich.text import Text
 
@@ -70,7 +71,7 @@ def print_sensor(console: Console, outcome: SensorOutcome) -> None:
         f" independent; prior {strength}; {seen.rank} of {len(seen.directions)} directions excited"
     )
     for reason in reasons(outcome.verdicts):
-        console.print(Text(f"  {reason}"))
+        console.print(Padding(Text(reason), (0, 0, 0, 2)))
     console.print()
 
 
@@ -86,17 +87,15 @@ def summary(verdicts: Sequence[Verdict]) -> str:
 
 
 def reasons(verdicts: Sequence[Verdict]) -> list[str]:
-    """Return the reasons of all verdicts, axes that share one named together."""
+    """Return the reasons of all verdicts but ACCEPT, axes that share one named together.
+
+    The figure that the table shows is left out.
+    """
     axes: dict[tuple[str, str], list[str]] = {}
     for verdict in verdicts:
-        # the figure is in the table already
-        reason = verdict.reason.split("; ", 1)[-1] if verdict.word == "PARTIAL" else verdict.reason
-        axes.setdefault((verdict.word, reason), []).append(verdict.axis)
-    return [
-        f"{word} {', '.join(names)}: {reason}"
-        for (word, reason), names in axes.items()
-        if word != "ACCEPT"
-    ]
+        if verdict.word != "ACCEPT":
+            axes.setdefault((verdict.word, verdict.remark), []).append(verdict.axis)
+    return [f"{word} {', '.join(names)}: {remark}" for (word, remark), names in axes.items()]
 
 
 def score_table(scores: Scores, verdicts: Sequence[Verdict] | None = None) -> Table:
@@ -132,6 +131,7 @@ def print_findings(console: Console, findings: Sequence[tuple[str, Finding]]) ->
     if not groups:
         return
     console.print(Text("data health", "bold"))
+    lines = Table.grid(padding=(0, 2))
     for (kept, recording, signal, kind), found in sorted(groups.items()):
         message = found[0].message.removeprefix(f"{signal}: ")
         if len(found) > 1:
@@ -140,8 +140,8 @@ def print_findings(console: Console, findings: Sequence[tuple[str, Finding]]) ->
                 f"{kind} {len(found)} times, {sum(lengths):.1f} s in all, longest"
                 f" {max(lengths):.2f} s"
             )
-        mark = "note" if kept else "cut "
-        console.print(Text(f"  {mark}  {recording}  {signal}: {message}"))
+        lines.add_row("note" if kept else "cut", Text(recording), Text(f"{signal}: {message}"))
+    console.print(lines)
     console.print()
 
 
@@ -185,15 +185,18 @@ def print_matches(console: Console, recording: Recording, robot: Robot) -> None:
             f" {len(known)} of {len(robot.moving_joints)} joints logged"
         )
     )
+    lines = Table.grid(padding=(0, 2))
     if missing:
-        console.print(Text(f"  not logged: {', '.join(missing)}"))
+        lines.add_row("not logged", Text(", ".join(missing)))
     if strangers := sorted(logged - set(robot.joints)):
-        console.print(Text(f"  not in the robot: {', '.join(strangers)}"))
+        lines.add_row("not in the robot", Text(", ".join(strangers)))
     for sensor in robot.sensors.values():
-        console.print(
+        lines.add_row(
+            Text(sensor.name),
             Text(
-                f"  F/T sensor {sensor.name}: between {sensor.parent} and {sensor.child}, wrench on"
-                f" the {sensor.acts_on} in the {sensor.frame} frame"
-            )
+                f"F/T sensor between {sensor.parent} and {sensor.child}, wrench on the"
+                f" {sensor.acts_on} in the {sensor.frame} frame"
+            ),
         )
+    console.print(lines)
     console.print()

@@ -28,6 +28,13 @@ class Verdict:
     word: Word
     reason: str
     """One line a person can act on."""
+    figure: str = ""
+    """The held-out error that the reason starts from, where there is one."""
+
+    @property
+    def remark(self) -> str:
+        """The reason without its figure, for a table that shows it."""
+        return self.reason.removeprefix(self.figure).removeprefix("; ")
 
     @property
     def use(self) -> bool:
@@ -77,12 +84,12 @@ def judge(excitation: Excitation, scores: Scores | None) -> tuple[Verdict, ...]:
         low, high = score.interval
         figure = f"{score.percent:.0f} % of Workbench on {scores.kind} [{low:.0f}, {high:.0f}]"
         if not high < 100.0:
-            why = "no better" if low < 100.0 else "worse"
-            verdicts.append(Verdict(name, "REFUSE", f"{why} than the Workbench: {figure}"))
+            why = "no better than the Workbench" if low < 100.0 else "worse than the Workbench"
+            verdicts.append(Verdict(name, "REFUSE", f"{figure}; {why}", figure))
         elif known.word == "PARTIAL":
-            verdicts.append(Verdict(name, "PARTIAL", f"{figure}; {known.reason}"))
+            verdicts.append(Verdict(name, "PARTIAL", f"{figure}; {known.reason}", figure))
         else:
-            verdicts.append(Verdict(name, "ACCEPT", figure))
+            verdicts.append(Verdict(name, "ACCEPT", figure, figure))
     return tuple(verdicts)
 
 

@@ -36,7 +36,11 @@ def strength(fit: Fit) -> str:
     """Return how strongly the Workbench was believed."""
     if fit.kappa is None:
         return f"the paper's lambda = {fit.penalty:g} (given by the job)"
-    how = "given by the job" if fit.choice is None else "chosen by blocked cross-validation"
+    how = "given by the job"
+    if fit.choice is not None:
+        how = "chosen by blocked cross-validation"
+        if fit.choice.chosen in (fit.choice.kappas[0], fit.choice.kappas[-1]):
+            how += ", at the end of those tried"
     return (
         f"kappa = {fit.kappa[0]:.3g}: entries of the secondary matrix are believed to lie within"
         f" {100 * fit.kappa[0]:.2g} % of full scale of the Workbench ({how})"
