@@ -28,13 +28,14 @@ from ftcal.moments import within
 from ftcal.one_sensor import SensorOutcome, deployed, validate_by_folds
 from ftcal.pairing import FtChannel, Paired
 from ftcal.pipeline import Outcome
-from ftcal.plots.figure import plain, thinned
+from ftcal.plots.figure import plain, shortened, thinned, with_holes
 from ftcal.recording import NANOSECONDS, Finding, Recording, Signal
+from ftcal.report.words import figures, fixed, percent, sentence, strength, whisker
 from ftcal.robot import FtSensor, Joint, Link, Robot
 from ftcal.samples import Samples
 from ftcal.sensor import Workbench
 from ftcal.validate import held_out, load_envelope, score
-from ftcal.verdict import judge
+from ftcal.verdict import Verdict, judge
 
 HOSTILE = "</script><img src=x onerror=alert(1)>"
 
@@ -304,6 +305,45 @@ def test_thinning_keeps_the_extremes_and_the_holes(values: list[float], points: 
         assert np.nanmax(kept) == np.nanmax(curve)
 
 
+def test_curve_breaks_where_the_clock_pauses() -> None:
+    time = np.array([0.0, 0.1, 0.2, 5.0, 5.1])
+    broken, values = with_holes(time, np.ones((5, 6)))
+    np.testing.assert_array_equal(broken, [0.0, 0.1, 0.2, 5.0, 5.0, 5.1])
+    assert np.isnan(values[3]).all()
+    assert len(with_holes(time[:1], np.ones((1, 6)))[0]) == 1
+
+
+def test_long_title_ends_in_an_ellipsis() -> None:
+    assert shortened("<" * 200) == "&lt;" * 109 + "…"
+
+
+def test_numbers_have_few_digits_and_no_negative_zero() -> None:
+    assert [figures(x) for x in (0.42, -1234.5, 46.0, 1e-7)] == [
+        "0.420",
+        "−1234",
+        "46.0",
+        "1.00e−07",
+    ]
+    assert figures(None) == figures(float("nan")) == fixed(float("inf")) == "–"
+    assert fixed(-1e-9) == "0.00"
+    assert [percent(x) for x in (0.0043, 0.15, float("nan"))] == ["0.43\u00a0%", "15\u00a0%", "–"]
+    assert [whisker(x) for x in (0.0, 100.0, 500.0, float("inf"))] == [0.0, 75.0, 150.0, 150.0]
+
+
+def test_sentence_names_what_is_kept() -> None:
+    words = {"fx": "REFUSE", "fy": "PARTIAL", "fz": "ACCEPT"}
+    verdicts = [Verdict(axis, word, "") for axis, word in words.items()]  # type: ignore[arg-type]
+    assert sentence(verdicts) == "use fy, fz; keep the Workbench for fx"
+
+
+def test_prior_says_who_chose_it(walk: Outcome) -> None:
+    fitted = walk.sensors[0].fit
+    assert strength(replace(fitted, choice=None)).endswith("(given by the job)")
+    assert fitted.choice is not None
+    ends = replace(fitted.choice, chosen=fitted.choice.kappas[0])
+    assert "at the end of those tried" in strength(replace(fitted, choice=ends))
+
+
 def test_page_without_validation_says_so(bare: Outcome) -> None:
     text = Elements(report.html(bare)).lines
     assert "Not validated: no data could be held out." in text
@@ -320,7 +360,10 @@ def test_direction_without_motion_is_drawn_as_not_excited() -> None:
     page = report.html(outcome)
     names = [trace["name"] for f in drawn(page).values() for trace in f["data"] if "name" in trace]
     assert "below 3 × noise: the prior alone speaks" in names
-    assert "3 of 6 directions excited" in Elements(page).lines
+    text = Elements(page).lines
+    assert "3 of 6 directions excited" in text
+    # torques that never were: the fit flattens them
+    assert "⚠ vanishing" in text
 
 
 def test_eight_channels_and_a_temperature_are_shown() -> None:

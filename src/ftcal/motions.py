@@ -33,6 +33,9 @@ PEAK_ACCELERATION = 10.0 / np.sqrt(3.0)
 QUARTER_TURN = np.pi / 2.0
 """How far a joint without limits goes either way [rad]."""
 
+SCATTER = 0.1
+"""Share of a level by which the points of a grid leave their place."""
+
 REST = 1.0
 """Stillness at both ends of every motion [s]: what a smoothing window eats."""
 
@@ -142,10 +145,9 @@ def grid(
         raise DataError(f"grid: points = {points} for {len(joints)} joints; give one or more each")
     posture = _home(robot, home or {}, pace)
     box = _box(robot, joints, posture, reach, pace)
-    levels = [np.linspace(*box[j], n) for j, n in zip(joints, counts, strict=True)]
     columns = [robot.moving_joints.index(joint) for joint in joints]
     nodes = np.tile(posture, (int(np.prod(counts)) + 2, 1))
-    nodes[1:-1, columns] = _to_and_fro(levels)
+    nodes[1:-1, columns] = _scattered(counts, np.array([box[joint] for joint in joints]))
     needed = [_least_time(robot, b - a, pace) for a, b in itertools.pairwise(nodes)]
     still = 2.0 * REST + settle * (len(needed) - 1)
     stretch = (duration - still) / max(sum(needed), 1e-9)
@@ -260,16 +262,25 @@ def _box(
     return box
 
 
-def _to_and_fro(levels: Sequence[Float[Array, "P"]]) -> Float[Array, "N D"]:
-    """Return the points of a grid so that neighbours differ in one coordinate by one level."""
+def _scattered(counts: Sequence[int], box: Float[Array, "D 2"]) -> Float[Array, "N D"]:
+    """Return the points of a grid in `box`, neighbours one level of one coordinate apart.
+
+    Each is moved by up to `SCATTER` of a level: a joint that rests at one place again and again
+    repeats the rounding error of its encoder, and no length of recording averages it out.
+    """
     walk: Float[Array, "N D"] = np.empty((1, 0))
-    for level in levels:
+    for count in counts:
+        there = np.arange(count)[:, None]
         rows = [
-            np.column_stack([np.tile(row, (len(level), 1)), level if k % 2 == 0 else level[::-1]])
+            np.hstack([np.tile(row, (count, 1)), there if k % 2 == 0 else there[::-1]])
             for k, row in enumerate(walk)
         ]
         walk = np.concatenate(rows)
-    return walk
+    # multiples of irrational numbers: evenly spread, no two alike
+    steps = np.sqrt([2.0, 3.0, 5.0, 7.0, 11.0, 13.0, 17.0, 19.0])[: len(counts)]
+    shift = SCATTER * (np.arange(len(walk))[:, None] * steps % 1.0)
+    low, high = box.T
+    return low + (high - low) * (walk + shift) / (np.array(counts) - 1.0 + SCATTER)
 
 
 def _least_time(robot: Robot, step: Float[Array, "J"], pace: Pace) -> float:

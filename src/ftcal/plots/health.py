@@ -37,6 +37,9 @@ KINDS: dict[str, tuple[str, str]] = {
 }
 """Colour and hatch of each kind of finding."""
 
+LEGEND_LINE = 22
+"""Pixels of a line of the legend, which has three entries on a narrow page."""
+
 LEAST_SPAN = 0.002
 """Share of the recording that the shortest finding is drawn with: a freeze of 50 ms is seen."""
 
@@ -49,7 +52,9 @@ def health_timeline(recording: Recording, findings: Sequence[Finding]) -> Figure
     signals = [*recording.joints, *recording.channels, *recording.temperatures, *recording.imus]
     names = list(dict.fromkeys([*(s.name for s in signals), *(f.signal for f in findings)]))
     rows = {name: number for number, name in enumerate(names)}
-    layout = base_layout(f"{recording.name}: data health", 150 + 24 * len(rows))
+    kinds = {(finding.kind, finding.cut) for finding in findings}
+    below = 60 + LEGEND_LINE * -(-len(kinds) // 3)
+    layout = base_layout(f"Data health: {recording.name}", 40 + 24 * len(rows) + below)
     logged: dict[str, Any] = {
         "type": "scatter",
         "mode": "lines",
@@ -77,7 +82,7 @@ def health_timeline(recording: Recording, findings: Sequence[Finding]) -> Figure
     layout["xaxis"] = plain_axis("time [s]", range=[first - pad, last + pad], zeroline=False)
     layout["yaxis"] = plain_axis(
         "",
-        autorange="reversed",
+        range=[len(rows) - 0.4, -0.6],
         tickmode="array",
         tickvals=list(rows.values()),
         ticktext=[plain(name) for name in rows],
@@ -86,9 +91,9 @@ def health_timeline(recording: Recording, findings: Sequence[Finding]) -> Figure
         zeroline=False,
     )
     layout["barmode"] = "overlay"
-    # below: many kinds need several lines
     layout["legend"] |= {"yref": "container", "y": 0, "yanchor": "bottom"}
-    layout["margin"] |= {"t": 36, "b": 110}
+    layout["margin"] |= {"t": 36, "b": below}
+    layout["showlegend"] = bool(kinds)
     return {"data": traces, "layout": layout}
 
 

@@ -42,7 +42,7 @@ def directions(names: str, excitation: Excitation) -> Figure:
     seen = excitation.directions
     rows = list(range(len(seen)))
     height = 110 + 34 * len(rows)
-    layout = base_layout(f"{names}: what the data excite, and what they determine", height)
+    layout = base_layout(f"What the data excite, and what they determine: {names}", height)
     sd = np.array([100 * d.sd for d in seen])
     signal = np.array([d.signal for d in seen])
     noise = np.divide(sd, signal, out=np.zeros_like(sd), where=np.isfinite(signal) & (signal > 0))
@@ -119,7 +119,7 @@ def directions(names: str, excitation: Excitation) -> Figure:
 
 def prior_curve(names: str, choice: PriorChoice) -> Figure:
     """Return the held-out error against the strength of the prior, the chosen one marked."""
-    layout = base_layout(f"{names}: strength of the prior, by blocked cross-validation", 380)
+    layout = base_layout(f"Strength of the prior, by blocked cross-validation: {names}", 380)
     percent = 100.0 * choice.error / np.maximum(choice.workbench, np.finfo(float).tiny)
     traces = []
     for axis, (colour, dash, marker) in enumerate(AXIS_STYLES):
@@ -196,7 +196,7 @@ def truth_maps(
     z: Float[Array, "6 K"],
 ) -> Figure:
     """Return truth and estimate, both as departure from the Workbench [% of full scale], and z."""
-    layout = base_layout(f"{names}: truth beside estimate", 380)
+    layout = base_layout(f"Truth beside estimate: {names}", 380)
     columns = list(AXES) if truth.shape[1] == 6 else [f"r{j + 1}" for j in range(truth.shape[1])]
     reach = 100 * max(float(np.abs(truth).max()), float(np.abs(estimate).max()), 1e-12)
     maps = (

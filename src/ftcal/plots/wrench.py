@@ -82,7 +82,7 @@ def wrench_in_time(sensor: str, background: Samples, pieces: Sequence[Piece]) ->
     The model's wrench (`background`) runs through the whole recording; what the matrices read is
     drawn where an offset is known, that is inside the windows.
     """
-    layout = six_panels(f"{background.recording}: wrench at {sensor}", 640, "time [s]")
+    layout = six_panels(f"Wrench at {sensor}: {background.recording}", 640, "time [s]")
     traces = []
     time, model = with_holes(background.time, background.wrench)
     for axis in range(6):
@@ -146,7 +146,7 @@ def window_names(pieces: Sequence[Piece]) -> list[dict[str, Any]]:
 
 def residuals_in_time(sensor: str, kind: str, pieces: Sequence[HeldOut]) -> Figure:
     """Return the held-out residuals, sensor minus model, of one recording against time."""
-    title = f"{pieces[0].recording}: {kind} residual at {sensor}, sensor minus model"
+    title = f"{kind.capitalize()} residual, sensor minus model, at {sensor}: {pieces[0].recording}"
     layout = six_panels(title, 600, "time [s]")
     traces = []
     for name in (WORKBENCH, IN_SITU):
@@ -166,7 +166,7 @@ def residual(piece: HeldOut, name: str) -> Float[Array, "N 6"]:
 def residual_spread(sensor: str, kind: str, pieces: Sequence[HeldOut]) -> Figure:
     """Return the distribution of the held-out residuals of all recordings, axis by axis."""
     names = ", ".join(dict.fromkeys(piece.recording for piece in pieces))
-    title = f"{names}: distribution of the {kind} residual at {sensor}"
+    title = f"Distribution of the {kind} residual at {sensor}: {names}"
     layout = base_layout(title, 430)
     both = {
         name: np.concatenate([residual(piece, name) for piece in pieces])
@@ -211,7 +211,7 @@ def residual_spread(sensor: str, kind: str, pieces: Sequence[HeldOut]) -> Figure
 def forces_in_space(sensor: str, pieces: Sequence[Piece]) -> Figure:
     """Return the force as a cloud in space: model, Workbench and in situ [N]."""
     names = ", ".join(dict.fromkeys(piece.reading.recording for piece in pieces))
-    layout = base_layout(f"{names}: force at {sensor}", 520)
+    layout = base_layout(f"Force at {sensor}: {names}", 520)
     total = sum(len(piece.reading.time) for piece in pieces)
     stride = max(1, -(-total // IN_SPACE))
     traces = []
@@ -256,7 +256,7 @@ def smoothing_effect(recording: Recording, channel: FtChannel, stretch: Samples)
     rows = (seconds >= middle - half) & (seconds < middle + half)
     gain = channel.workbench.gain
     raw = channel.workbench.channels(signal.values[rows]) @ gain.T
-    title = f"{recording.name}: {channel.signal} by the Workbench, before and after smoothing"
+    title = f"{channel.signal} by the Workbench, before and after smoothing: {recording.name}"
     layout = six_panels(title, 480, "time [s]")
     traces = []
     shown = (

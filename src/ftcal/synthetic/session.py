@@ -61,6 +61,8 @@ class Conditions:
     """Whether counts are whole and the board sends steps of full scale / 32768."""
     encoder: float = 2.0 * np.pi / 4096.0
     """Step of the joint encoders [rad]; 0 for none. Default: 12 bits, 0.0879 degrees."""
+    flicker: float = 0.2
+    """Standard deviation of the noise of the joint encoders, share of their step."""
     rate: float = 100.0
     """Samples of every signal per second."""
     jitter: float = 2e-4
@@ -76,6 +78,7 @@ class Conditions:
                 ("noise", self.noise),
                 ("offset", self.offset),
                 ("encoder", self.encoder),
+                ("flicker", self.flicker),
                 ("jitter", self.jitter),
                 ("warming", abs(self.warming)),
             )
@@ -230,7 +233,10 @@ class _Logger:
         felt = Signal(self.port, WRENCH_AXES, since[self.port] + start, wrench)
         joints = [
             Signal(
-                name, columns, since[name] + start, self.encode(trajectory, columns, since[name])
+                name,
+                columns,
+                since[name] + start,
+                self.encode(trajectory, columns, since[name], generator),
             )
             for name, columns in ports.items()
         ]
@@ -259,13 +265,18 @@ class _Logger:
         return counts @ self.mounted.firmware.matrix.T, raw
 
     def encode(
-        self, trajectory: Trajectory, joints: tuple[str, ...], since: Int[Array, "N"]
+        self,
+        trajectory: Trajectory,
+        joints: tuple[str, ...],
+        since: Int[Array, "N"],
+        generator: np.random.Generator,
     ) -> Float[Array, "N K"]:
         """Return what the encoders of `joints` see [rad or m]."""
         motion = trajectory.at(since / NANOSECONDS)
         position = motion.position[:, motion.columns(joints)]
+        noise = self.conditions.flicker * generator.normal(size=position.shape)
         step = self.conditions.encoder
-        return np.asarray(np.rint(position / step) * step) if step else position
+        return np.asarray(np.rint(position / step + noise) * step) if step else position
 
     def thermometer(self, warmth: _Warmth, duration: float, start: int) -> Signal:
         """Return the sensor's temperature [degree Celsius], read once a second."""
