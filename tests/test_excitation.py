@@ -43,6 +43,21 @@ def test_axes_that_never_move_are_directions_not_excited(moving: int) -> None:
     assert all(axis in verdict.reason for axis in AXES[moving:])
 
 
+def test_directions_not_excited_stay_at_the_prior() -> None:
+    rng = np.random.default_rng(1)
+    gain = bent(PRIOR, rng)
+    some = samples(gain, rng, axes=4)
+    noisy = dataclasses.replace(some, channels=some.channels + rng.normal(size=(2000, 6)))
+    found = fit(cells([noisy], 1.0), PRIOR, FitOptions(kappa=0.03))
+    E = (found.estimate.gain - PRIOR.gain) / FULL_SCALE[:, None] @ np.linalg.inv(PRIOR.scaling)
+    for direction in found.excitation.directions:
+        along = np.abs(E @ direction.vector).max()
+        assert (along > 1e-3) == direction.excited
+        if not direction.excited:
+            assert along < 1e-9  # of what is excited, rounding
+            assert (direction.share == 0).all()
+
+
 def test_a_robot_that_stands_still_is_refused() -> None:
     rng = np.random.default_rng(2)
     some = samples(PRIOR.gain, rng, share=0.0, noise=1e-3)

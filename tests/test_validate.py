@@ -88,16 +88,18 @@ def test_two_blocks_say_nothing() -> None:
     assert bootstrap_interval(np.ones(2), np.ones(2), np.random.default_rng(0)) == (0.0, np.inf)
 
 
-def seen(*, signal: float = 50.0, share: float = 1.0, amplitude: float = 1.0) -> Excitation:
+def seen(
+    *, signal: float = 50.0, share: float = 1.0, amplitude: float = 1.0, anchored: bool = True
+) -> Excitation:
     directions = [
         Direction(np.eye(6)[i], AXES[i], 0.1, signal if i == 5 else 50.0, np.full(6, share))
         for i in range(6)
     ]
-    return Excitation(tuple(directions), amplitude)
+    return Excitation(tuple(directions), anchored, amplitude)
 
 
-def with_interval(low: float, high: float) -> Scores:
-    item = Score("fx", "N", 1.0, 2.0, 50.0, (low, high), 50.0, 1.0, (0, 1), (0, 1), 0.0)
+def with_interval(low: float, high: float, amplitude: float = 1.0) -> Scores:
+    item = Score("fx", "N", 1.0, 2.0, 50.0, (low, high), 50.0, amplitude, (0, 1), (0, 1), 0.0)
     return Scores("hold-out", (), dict.fromkeys(AXES, item), 10, 1.0, 5)
 
 
@@ -124,3 +126,12 @@ def test_a_worse_axis_says_so() -> None:
 
 def test_without_validation_nothing_is_accepted() -> None:
     assert {v.word for v in judge(seen(), None)} == {"REFUSE"}
+
+
+def test_a_reading_that_noise_shrank_is_refused() -> None:
+    vanished = with_interval(1, 2, amplitude=0.05)
+    loose = judge(seen(signal=1.0, anchored=False), vanished)
+    assert {v.word for v in loose} == {"REFUSE"}
+    assert "shrinks to 5 %" in loose[0].reason
+    # cross-talk on an axis that is never loaded may rightly vanish where the prior holds the rest
+    assert overall(judge(seen(signal=1.0), vanished)) == "PARTIAL"

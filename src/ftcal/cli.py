@@ -82,7 +82,8 @@ def progress_bar() -> Iterator[Progress]:
         yield tell
     finally:
         timer.cancel()
-        bar.stop()
+        if bar.live.is_started:
+            bar.stop()
 
 
 def console() -> Console:
@@ -175,13 +176,13 @@ def validate(calibration: Path, job: Path, machine: bool) -> None:
     from ftcal.calibration import read_calibration
     from ftcal.config import read_job
     from ftcal.pipeline import score_calibration
-    from ftcal.report import score_record
+    from ftcal.report.scorecard import scores_metrics
 
     known = read_calibration(calibration)
     with progress_bar() as progress:
         scored = score_calibration(known, read_job(job), progress=progress)
     if machine:
-        record = {name: score_record(scores) for name, scores in scored.items()}
+        record = {name: scores_metrics(scores) for name, scores in scored.items()}
         click.echo(json.dumps(record, indent=1))
     else:
         out = console()
@@ -223,7 +224,8 @@ def apply(calibration: Path, log: Path, output: Path, offset: str) -> None:
 @mendable
 def demo(output: Path, seed: int, machine: bool) -> None:
     """Simulate an iCub whose right leg's sensor is bent, and calibrate it from its logs."""
-    from ftcal.demonstration import read_truth, write_demo
+    from ftcal.demonstration import write_demo
+    from ftcal.synthetic import read_truth
 
     job = write_demo(output, seed=seed)
     sys.exit(run_job(job, output, machine, truth=read_truth(job)))

@@ -40,7 +40,11 @@ class Direction:
     signal: float
     """`sd` over the noise's standard deviation along it."""
     share: Float[Array, "6"]
-    """Per axis: how much of the estimate along it is the data's (1), not the prior's (0)."""
+    """Per axis: how much of the estimate along it is the data's (1), not the prior's (0).
+
+    Zero where it is not excited: there the prior is kept (or, with the paper's penalty, noise is
+    fitted).
+    """
 
     @property
     def excited(self) -> bool:
@@ -53,6 +57,8 @@ class Excitation:
     """All directions, the best seen first, and whether the scale can be known."""
 
     directions: tuple[Direction, ...]
+    anchored: bool
+    """Whether directions not excited stay at the prior; the paper's penalty fits noise there."""
     amplitude: float
     """RMS of the centred model wrench over that of the Workbench's, in fractions of full scale."""
 
@@ -60,6 +66,12 @@ class Excitation:
     def rank(self) -> int:
         """Number of excited directions."""
         return sum(direction.excited for direction in self.directions)
+
+    @property
+    def seen(self) -> Float[Array, "M P"]:
+        """The excited directions as rows."""
+        vectors = [direction.vector for direction in self.directions if direction.excited]
+        return np.array(vectors).reshape(len(vectors), len(self.directions))
 
     @property
     def condition(self) -> float:
@@ -125,11 +137,11 @@ def excitation(
         floor = float(np.linalg.norm(channel_noise * v))
         signal = sd / floor if floor > 0 else (np.inf if sd > 0 else 0.0)
         precision = variance[j] * count / power
-        share = np.full(6, 1.0 if signal >= LEAST_SIGNAL else 0.0)
-        if kappa is not None:
-            share = np.maximum(precision, 0.0) / (np.maximum(precision, 0.0) + 1.0 / kappa**2)
+        share = np.zeros(6)
+        if signal >= LEAST_SIGNAL:
+            share = np.ones(6) if kappa is None else precision / (precision + 1.0 / kappa**2)
         directions.append(Direction(v, in_words(v, names), sd, float(signal), share))
-    return Excitation(tuple(directions), amplitude_ratio(problem))
+    return Excitation(tuple(directions), kappa is not None, amplitude_ratio(problem))
 
 
 def amplitude_ratio(problem: ScaledProblem) -> float:

@@ -89,8 +89,9 @@ def decode(text: str, *, serial: str) -> FirmwareMatrix:
     entries = text.split()
     if len(entries) != 43:
         raise SensorError(
-            f"matrix {serial}: {len(entries)} entries instead of 43 (36 hex words, the constant 1,"
-            " 6 full scales); take the file as the manufacturer wrote it"
+            f"matrix {serial}: {len(entries)} entries instead of 43 ({len(entries) - 7} hex words"
+            " where 36 belong, before the constant 1 and 6 full scales); take the file as the"
+            " manufacturer wrote it"
         )
     faults = [
         f"word {i + 1} is {word!r}, not 1 to 4 hex digits"

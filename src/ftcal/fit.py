@@ -1,8 +1,8 @@
 """One sensor's calibration from cells of training data: noise, prior strength, gain, offsets.
 
 The order is the method's: what is left over by a weakly held fit is the noise; with it the
-directions that the data see (`excitation`); then the strength of the prior by blocked
-cross-validation inside the training data; then the posterior.
+directions that the data see (`excitation`), in all others the prior stays; then the strength of
+the prior by blocked cross-validation inside the training data; then the posterior.
 """
 
 from __future__ import annotations
@@ -123,10 +123,13 @@ def fit(
         kappa, choice = None, None
     else:
         choice = None
+        directions = excitation(problem, noise).seen
         if options.kappa is None:
-            choice = choose_kappa(cells, workbench, noise, pool=pool, folds=options.folds)
+            choice = choose_kappa(
+                cells, workbench, noise, directions, pool=pool, folds=options.folds
+            )
         kappa = np.full(6, options.kappa if choice is None else choice.chosen)
-        estimate = problem.posterior(kappa, noise)
+        estimate = problem.along(directions).posterior(kappa, noise)
     seen = excitation(problem, noise, kappa)
     return Fit(estimate, noise, seen, kappa, options.penalty, choice, moments.count)
 
@@ -167,12 +170,15 @@ def choose_kappa(
     cells: Sequence[Cell],
     workbench: Workbench,
     noise: Noise,
+    directions: Float[Array, "M P"],
     *,
     pool: Pool = within,
     folds: int = 5,
     kappas: Float[Array, "L"] = KAPPAS,
 ) -> PriorChoice:
     """Return the prior strength that predicts held-out blocks of the training data best.
+
+    Only along `directions` (orthonormal rows), those that the data excite, does E leave the prior.
 
     A held-out block is scored about its own mean: its offset is re-estimated, as in the paper's
     validation. One strength serves all axes, the geometric mean of their errors being least: per
@@ -181,7 +187,7 @@ def choose_kappa(
     grid = np.broadcast_to(kappas[:, None], (len(kappas), 6))
     squares, baseline, count = [], [], 0
     for fold in blocked_folds(cells, folds):
-        train = ScaledProblem.of(pooled(fold.train, pool), workbench)
+        train = ScaledProblem.of(pooled(fold.train, pool), workbench).along(directions)
         held = ScaledProblem.of(pooled(fold.held, pool), workbench)
         squares.append(held.squared_error(train.path(grid, noise)))
         baseline.append(held.squared_error(np.zeros((6, len(held.basis)))))

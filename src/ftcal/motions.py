@@ -215,7 +215,7 @@ def extended_balancing(
         support=support,
         sway=sway,
         home=home,
-        pace=pace or Pace(speed=1.5),
+        pace=pace or Pace(acceleration=2.5),
     )
 
 

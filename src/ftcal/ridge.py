@@ -181,6 +181,17 @@ class ScaledProblem:
         n = len(self.basis)
         return self.moments.scatter[n:, :n]
 
+    def along(self, directions: Float[Array, "M P"]) -> ScaledProblem:
+        """Return the problem that sees y along M orthonormal directions only.
+
+        In all others E stays at the prior: noise in a channel that nothing moved would otherwise
+        pull its gain towards zero.
+        """
+        n = len(self.basis)
+        project = np.eye(n + 6)
+        project[:n, :n] = directions.T @ directions
+        return ScaledProblem(self.moments.map(project), self.basis, self.workbench)
+
     def noise_power(self, noise: Noise) -> Float[Array, "6"]:
         """Variance of z that counts against one sample: `inefficiency (sd / F)^2`."""
         return np.asarray(noise.inefficiency * (noise.sd / self.workbench.full_scale) ** 2)

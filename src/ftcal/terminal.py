@@ -18,7 +18,7 @@ from ftcal.recording import Finding, Recording, Signal
 from ftcal.robot import Robot
 from ftcal.sensor import AXES
 from ftcal.validate import Score, Scores
-from ftcal.verdict import Verdict, overall
+from ftcal.verdict import Verdict, advice, overall
 
 if TYPE_CHECKING:
     from ftcal.one_sensor import SensorOutcome
@@ -53,7 +53,7 @@ def print_sensor(console: Console, outcome: SensorOutcome) -> None:
     word = overall(outcome.verdicts)
     console.print(
         Text.assemble((outcome.sensor.name, "bold"), "  ", (word, STYLES[word])),
-        Text(summary(outcome.verdicts)),
+        Text(advice(outcome.verdicts)),
     )
     scores = outcome.scores
     if scores is not None:
@@ -73,17 +73,6 @@ def print_sensor(console: Console, outcome: SensorOutcome) -> None:
     for reason in reasons(outcome.verdicts):
         console.print(Padding(Text(reason), (0, 0, 0, 2)))
     console.print()
-
-
-def summary(verdicts: Sequence[Verdict]) -> str:
-    """Return one line that says what to do: `use fy, fz, tx; keep the Workbench for fx, ty, tz`."""
-    use = [verdict.axis for verdict in verdicts if verdict.use]
-    keep = [verdict.axis for verdict in verdicts if not verdict.use]
-    if not keep:
-        return "use the new matrix on every axis"
-    if not use:
-        return "keep the Workbench matrix on every axis"
-    return f"use {', '.join(use)}; keep the Workbench for {', '.join(keep)}"
 
 
 def reasons(verdicts: Sequence[Verdict]) -> list[str]:

@@ -159,7 +159,9 @@ class _Reader:
         inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
         R = link_H_com[:3, :3]
         kilograms = float(self.numbers(value, 1, f"mass of link {name!r}")[0])
-        return Link(name, kilograms, link_H_com[:3, 3], R @ inertia @ R.T)
+        with np.errstate(invalid="ignore"):  # infinity is refused later, by name
+            turned = R @ inertia @ R.T
+        return Link(name, kilograms, link_H_com[:3, 3], turned)
 
     def joint(self, element: Element, name: str) -> Joint:
         """Return the joint; limits that are not given are infinite."""

@@ -17,6 +17,9 @@ from ftcal.excitation import Excitation
 from ftcal.sensor import AXES
 from ftcal.validate import Scores
 
+LEAST_READING = 0.3
+"""Least squares that leaves less of the Workbench's reading of an axis has fitted noise."""
+
 Word = Literal["ACCEPT", "PARTIAL", "REFUSE"]
 
 
@@ -81,6 +84,13 @@ def judge(excitation: Excitation, scores: Scores | None) -> tuple[Verdict, ...]:
             )
             continue
         score = scores.by_name[name]
+        if not excitation.anchored and known.word == "PARTIAL" and score.amplitude < LEAST_READING:
+            why = (
+                f"the reading shrinks to {100 * score.amplitude:.0f} %: noise fills what is not"
+                " excited; give kappa instead of lambda"
+            )
+            verdicts.append(Verdict(name, "REFUSE", f"{why} ({known.reason})"))
+            continue
         low, high = score.interval
         figure = f"{score.percent:.0f} % of Workbench on {scores.kind} [{low:.0f}, {high:.0f}]"
         if not high < 100.0:
@@ -99,3 +109,14 @@ def overall(verdicts: Sequence[Verdict]) -> Word:
     if len(words) == 1:
         return words.pop()
     return "PARTIAL"
+
+
+def advice(verdicts: Sequence[Verdict]) -> str:
+    """Return one line that says what to do: `use fy, fz, tx; keep the Workbench for fx, ty, tz`."""
+    use = [verdict.axis for verdict in verdicts if verdict.use]
+    keep = [verdict.axis for verdict in verdicts if not verdict.use]
+    if not keep:
+        return "use the new matrix on every axis"
+    if not use:
+        return "keep the Workbench matrix on every axis"
+    return f"use {', '.join(use)}; keep the Workbench for {', '.join(keep)}"

@@ -23,10 +23,10 @@ from ftcal.report.album import (
     wrench_figures,
 )
 from ftcal.report.truth import Truth
-from ftcal.report.words import TEXT_FILTERS, sentence, strength
+from ftcal.report.words import TEXT_FILTERS, strength
 from ftcal.sensor import AXES, UNITS
 from ftcal.validate import Score, Scores
-from ftcal.verdict import Verdict, overall
+from ftcal.verdict import Verdict, advice, overall
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -98,7 +98,7 @@ def sensor_section(
         "frame": calibration.frame,
         "acts_on": calibration.acts_on,
         "word": overall(outcome.verdicts),
-        "sentence": sentence(outcome.verdicts),
+        "sentence": advice(outcome.verdicts),
         "verdicts": outcome.verdicts,
         "kind": None if scores is None else scores.kind,
         "hold_out": table_of(outcome.hold_out, outcome.verdicts),

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any
 
 from ftcal.fit import Fit
-from ftcal.verdict import Verdict
 
 DASH = "–"
 """Stands where there is no number."""
@@ -19,17 +18,6 @@ WHISKER_WIDTH = 150
 """Pixels from 0 to `WHISKER_END` percent."""
 WHISKER_END = 200.0
 """Percent of the Workbench's error at the right end of a whisker."""
-
-
-def sentence(verdicts: Sequence[Verdict]) -> str:
-    """Return what to do: `use fy, fz, tx; keep the Workbench for fx, ty, tz`."""
-    use = [verdict.axis for verdict in verdicts if verdict.use]
-    keep = [verdict.axis for verdict in verdicts if not verdict.use]
-    if not keep:
-        return "use the new matrix on every axis"
-    if not use:
-        return "keep the Workbench matrix on every axis"
-    return f"use {', '.join(use)}; keep the Workbench for {', '.join(keep)}"
 
 
 def strength(fit: Fit) -> str:

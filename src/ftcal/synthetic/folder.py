@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ftcal.errors import OutputError, RobotError
+from ftcal.errors import JobError, OutputError, RobotError
 from ftcal.firmware import encode
 from ftcal.logs import yarp
 from ftcal.logs.layout import Layout
@@ -57,15 +57,19 @@ def write_session(session: Session, folder: Path, *, urdf: Path) -> Path:
     return folder / JOB
 
 
-def read_truth(path: Path) -> dict[str, Float[Array, "6 6"]]:
-    """Return the true gain C of each sensor in a `truth.json`; `OutputError` where it has none."""
+def read_truth(job: Path) -> dict[str, Float[Array, "6 6"]]:
+    """Return the true gain C of each sensor of a job that `write_session` wrote.
+
+    Raises `JobError` where there is no truth beside the job.
+    """
+    file = job.with_name(TRUTH)
     try:
-        sensors = json.loads(path.read_text(encoding="utf-8"))["sensors"]
+        sensors = json.loads(file.read_text(encoding="utf-8"))["sensors"]
         return {
             name: np.array(sensor["gain"], dtype=np.float64) for name, sensor in sensors.items()
         }
     except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
-        raise OutputError(f"{path}: not the truth of a simulation ({error})") from error
+        raise JobError(f"{file}: not the truth of a simulation ({error})") from error
 
 
 def _description(session: Session, urdf: Path) -> bytes:
