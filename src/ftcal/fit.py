@@ -35,6 +35,10 @@ KAPPAS = np.geomspace(3e-4, 0.3, 31)
 """Prior strengths tried, in fractions of full scale."""
 
 
+TIE = 0.002
+"""Strengths whose held-out errors differ by less (relative) are equally good."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FitOptions:
     """How strongly the Workbench matrix is believed, and of what the errors are."""
@@ -77,7 +81,7 @@ class PriorChoice:
     workbench: Float[Array, "6"]
     """Held-out RMS error of the Workbench matrix per axis [N, Nm]."""
     chosen: float
-    """The kappa with the least held-out error, every axis weighing the same."""
+    """The weakest of the best kappas, every axis weighing the same."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -182,7 +186,8 @@ def choose_kappa(
 
     A held-out block is scored about its own mean: its offset is re-estimated, as in the paper's
     validation. One strength serves all axes, the geometric mean of their errors being least: per
-    axis the curves of a minute of data have several minima (decision 0004).
+    axis the curves of a minute of data have several minima (decision 0004). Of equally good ones
+    the weakest is taken: where data decide everything, a prior must not narrow the error bars.
     """
     grid = np.broadcast_to(kappas[:, None], (len(kappas), 6))
     squares, baseline, count = [], [], 0
@@ -194,7 +199,8 @@ def choose_kappa(
         count += held.moments.count
     summed = np.sum(squares, axis=0)
     floor = np.finfo(float).tiny
-    best = int(np.log(np.maximum(summed, floor)).mean(axis=1).argmin())
+    score = 0.5 * np.log(np.maximum(summed, floor)).mean(axis=1)
+    best = int(np.flatnonzero(score <= score.min() + TIE)[-1])
     return PriorChoice(
         np.asarray(kappas),
         np.sqrt(summed / count),

@@ -276,11 +276,11 @@ def _scattered(counts: Sequence[int], box: Float[Array, "D 2"]) -> Float[Array, 
             for k, row in enumerate(walk)
         ]
         walk = np.concatenate(rows)
-    # multiples of irrational numbers: evenly spread, no two alike
-    steps = np.sqrt([2.0, 3.0, 5.0, 7.0, 11.0, 13.0, 17.0, 19.0])[: len(counts)]
+    # multiples of irrational powers of two: evenly spread, no two alike
+    steps = 2.0 ** (np.arange(1, len(counts) + 1) / (len(counts) + 1))
     shift = SCATTER * (np.arange(len(walk))[:, None] * steps % 1.0)
     low, high = box.T
-    return low + (high - low) * (walk + shift) / (np.array(counts) - 1.0 + SCATTER)
+    return np.asarray(low + (high - low) * (walk + shift) / (np.array(counts) - 1.0 + SCATTER))
 
 
 def _least_time(robot: Robot, step: Float[Array, "J"], pace: Pace) -> float:
