@@ -30,12 +30,12 @@ from ftcal.pairing import FtChannel, Paired
 from ftcal.pipeline import Outcome
 from ftcal.plots.figure import plain, shortened, thinned, with_holes
 from ftcal.recording import NANOSECONDS, Finding, Recording, Signal
-from ftcal.report.words import figures, fixed, percent, sentence, strength, whisker
+from ftcal.report.words import figures, fixed, percent, strength, whisker
 from ftcal.robot import FtSensor, Joint, Link, Robot
 from ftcal.samples import Samples
 from ftcal.sensor import Workbench
 from ftcal.validate import held_out, load_envelope, score
-from ftcal.verdict import Verdict, judge
+from ftcal.verdict import judge
 
 HOSTILE = "</script><img src=x onerror=alert(1)>"
 
@@ -328,12 +328,6 @@ def test_numbers_have_few_digits_and_no_negative_zero() -> None:
     assert fixed(-1e-9) == "0.00"
     assert [percent(x) for x in (0.0043, 0.15, float("nan"))] == ["0.43\u00a0%", "15\u00a0%", "–"]
     assert [whisker(x) for x in (0.0, 100.0, 500.0, float("inf"))] == [0.0, 75.0, 150.0, 150.0]
-
-
-def test_sentence_names_what_is_kept() -> None:
-    words = {"fx": "REFUSE", "fy": "PARTIAL", "fz": "ACCEPT"}
-    verdicts = [Verdict(axis, word, "") for axis, word in words.items()]  # type: ignore[arg-type]
-    assert sentence(verdicts) == "use fy, fz; keep the Workbench for fx"
 
 
 def test_prior_says_who_chose_it(walk: Outcome) -> None:

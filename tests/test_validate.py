@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from ftcal.excitation import Direction, Excitation
 from ftcal.sensor import AXES
 from ftcal.validate import Score, Scores, bootstrap_interval, held_out, load_envelope, score
-from ftcal.verdict import judge, overall
+from ftcal.verdict import Verdict, advice, judge, overall
 from pretend import FULL_SCALE, bent, samples, workbench
 
 PRIOR = workbench()
@@ -135,3 +135,9 @@ def test_a_reading_that_noise_shrank_is_refused() -> None:
     assert "shrinks to 5 %" in loose[0].reason
     # cross-talk on an axis that is never loaded may rightly vanish where the prior holds the rest
     assert overall(judge(seen(signal=1.0), vanished)) == "PARTIAL"
+
+
+def test_advice_names_what_is_kept() -> None:
+    words = {"fx": "REFUSE", "fy": "PARTIAL", "fz": "ACCEPT"}
+    verdicts = [Verdict(axis, word, "") for axis, word in words.items()]  # type: ignore[arg-type]
+    assert advice(verdicts) == "use fy, fz; keep the Workbench for fx"

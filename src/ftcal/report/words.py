@@ -65,6 +65,12 @@ def span(interval: tuple[float, float]) -> str:
     return f"{figures(interval[0])} … {figures(interval[1])}"
 
 
+def ends(interval: tuple[float, float]) -> str:
+    """Return an interval of percentages, with a decimal where both ends are small: `0.8–1.1`."""
+    places = 1 if interval[1] < 10 else 0
+    return f"{interval[0]:.{places}f}–{interval[1]:.{places}f}"
+
+
 def mark(word: str) -> str:
     """Return the sign of a verdict."""
     return MARKS[word]
@@ -82,6 +88,7 @@ TEXT_FILTERS: dict[str, Callable[..., Any]] = {
     "fixed": fixed,
     "percent": percent,
     "span": span,
+    "ends": ends,
     "mark": mark,
     "whisker": whisker,
 }
