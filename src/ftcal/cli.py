@@ -104,7 +104,7 @@ def main() -> None:
     """
 
 
-@main.command()
+@main.command(short_help="Show what is in a log and what is wrong with it.")
 @click.argument("log", type=TEXT)
 @click.option("--robot", type=TEXT, help="URDF or xacro: show which joints and sensors match.")
 @as_json
@@ -128,7 +128,7 @@ def inspect(log: Path, robot: Path | None, machine: bool) -> None:
     terminal.print_findings(out, [(recording.name, finding) for finding in findings])
 
 
-@main.command()
+@main.command(short_help="Calibrate the sensors of a job file.")
 @click.argument("job", type=TEXT)
 @click.option("-o", "--output", type=TEXT, help="Folder of the results (default: ftcal-out).")
 @as_json
@@ -162,7 +162,7 @@ def run_job(job: Path, output: Path | None, machine: bool, *, truth: dict[str, A
     return 0 if outcome.improved else NOT_BETTER
 
 
-@main.command()
+@main.command(short_help="Score a calibration on other recordings.")
 @click.argument("calibration", type=TEXT)
 @click.argument("job", type=TEXT)
 @as_json
@@ -176,13 +176,13 @@ def validate(calibration: Path, job: Path, machine: bool) -> None:
     from ftcal.calibration import read_calibration
     from ftcal.config import read_job
     from ftcal.pipeline import score_calibration
-    from ftcal.report.scorecard import scores_metrics
+    from ftcal.report.scorecard import finite, scores_metrics
 
     known = read_calibration(calibration)
     with progress_bar() as progress:
         scored = score_calibration(known, read_job(job), progress=progress)
     if machine:
-        record = {name: scores_metrics(scores) for name, scores in scored.items()}
+        record = finite({name: scores_metrics(scores) for name, scores in scored.items()})
         click.echo(json.dumps(record, indent=1))
     else:
         out = console()
@@ -193,7 +193,7 @@ def validate(calibration: Path, job: Path, machine: bool) -> None:
     sys.exit(0 if better else NOT_BETTER)
 
 
-@main.command()
+@main.command(short_help="Recalibrate a log.")
 @click.argument("calibration", type=TEXT)
 @click.argument("log", type=TEXT)
 @click.option("-o", "--output", type=TEXT, required=True, help="Table (.csv, .parquet) or folder.")
@@ -217,8 +217,15 @@ def apply(calibration: Path, log: Path, output: Path, offset: str) -> None:
     click.echo(f"wrote {output}")
 
 
-@main.command()
-@click.option("-o", "--output", type=TEXT, default=Path("ftcal-out/demo"), show_default=True)
+@main.command(short_help="Simulate an iCub with a bent sensor and calibrate it.")
+@click.option(
+    "-o",
+    "--output",
+    type=TEXT,
+    default=Path("ftcal-out/demo"),
+    show_default=True,
+    help="Folder of logs and results.",
+)
 @click.option("--seed", type=int, default=1, show_default=True, help="Seed of everything random.")
 @as_json
 @mendable

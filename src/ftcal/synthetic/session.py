@@ -53,8 +53,9 @@ class Conditions:
 
     kappa: float = 0.03
     """Expected bend of the secondary matrix by mounting, fraction of full scale."""
-    noise: float = 3.0
-    """Standard deviation of the white noise on every raw channel [counts]."""
+    noise: float = 8.0
+    """Standard deviation of the white noise on every raw channel [counts]: the sensors of the real
+    iCubGenova02 show 2 to 14."""
     offset: float = 8000.0
     """Largest raw offset of a channel [counts]; every recording draws its own."""
     digital: bool = True
