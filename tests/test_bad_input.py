@@ -40,7 +40,10 @@ def edit(file: str, old: str, new: str) -> Callable[[Path], None]:
 
 
 def write(file: str, text: str) -> Callable[[Path], None]:
-    return lambda world: (world / file).write_text(text) and None
+    def change(world: Path) -> None:
+        (world / file).write_text(text)
+
+    return change
 
 
 def log(change: Callable[[np.ndarray, np.ndarray, np.ndarray], object]) -> Callable[[Path], None]:

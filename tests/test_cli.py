@@ -102,11 +102,8 @@ def test_a_sensor_that_was_right_all_along_ends_with_three(world: Path, tmp_path
 
 
 def test_validate_and_apply_refuse_what_is_no_calibration(world: Path) -> None:
-    for command in (
-        ["validate", world / "arm.urdf", world / "job.toml"],
-        ["apply", world / "arm.urdf", world / "one.csv", "-o", world / "out.csv"],
-    ):
-        result = run(*command)
+    robot, job, log = world / "arm.urdf", world / "job.toml", world / "one.csv"
+    for result in (run("validate", robot, job), run("apply", robot, log, "-o", world / "out.csv")):
         assert result.exit_code == 1
         assert "not a calibration" in result.stderr
 

@@ -95,7 +95,7 @@ def test_a_bent_sensor_gets_a_wide_prior_and_a_true_one_a_tight() -> None:
     rng = np.random.default_rng(3)
     kappas = []
     for gain in (PRIOR.gain, bent(PRIOR, rng, kappa=0.1)):
-        tiles = cells([samples(gain, rng, count=4000, noise=3e-3, share=0.02)], 1.0)
+        tiles = cells([samples(gain, rng, count=200, noise=3e-3, share=0.02)], 1.0)
         noise = Noise(3e-3 * FULL_SCALE, np.ones(6))
         kappas.append(choose_kappa(tiles, PRIOR, noise, np.eye(6)).chosen)
     assert kappas[0] < 0.01 < kappas[1]

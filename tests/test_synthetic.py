@@ -194,6 +194,17 @@ def test_what_no_robot_can_do_is_refused(make: object, error: type, words: str) 
         make()
 
 
+def test_joint_without_limits_goes_a_quarter_turn() -> None:
+    wrist = dataclasses.replace(arm().joint("wrist"), lower=-np.inf, upper=np.inf)
+    free = dataclasses.replace(arm(), joints={**arm().joints, "wrist": wrist})
+    span = grid(free, ["wrist"], reach=1.0).waypoints[:, 2]
+    assert (span.min(), span.max()) == pytest.approx((-np.pi / 2, np.pi / 2), rel=0.05)
+    slide = dataclasses.replace(wrist, kind="prismatic")
+    endless = dataclasses.replace(arm(), joints={**arm().joints, "wrist": slide})
+    with pytest.raises(RobotError, match="prismatic joint 'wrist' has no limits"):
+        grid(endless, ["wrist"])
+
+
 def arm_takes(seed: int) -> list[Take]:
     rng = np.random.default_rng(seed)
     return [
@@ -430,6 +441,13 @@ def test_another_robots_urdf_is_refused(tmp_path: Path) -> None:
     assert not (tmp_path / "session").exists()
 
 
+def test_folder_that_cannot_be_written_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    with pytest.raises(OutputError, match="cannot be written"):
+        written(tmp_path / "file", arm_session())
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["arm.urdf", "file"]
+
+
 def test_truth_that_is_none_is_refused(tmp_path: Path) -> None:
     with pytest.raises(JobError, match=r"truth\.json: not the truth"):
         read_truth(tmp_path / "job.toml")
@@ -443,6 +461,16 @@ def test_takes_need_names_of_their_own(names: list[str], words: str) -> None:
     takes = [dataclasses.replace(arm_takes(0)[0], name=name) for name in names]
     with pytest.raises(DataError, match=words):
         simulate(arm(), takes, sensor="ft", generator=np.random.default_rng(0))
+
+
+def test_signal_becomes_a_port() -> None:
+    rng = np.random.default_rng(0)
+    take = arm_takes(0)[:1]
+    assert (
+        simulate(arm(), take, sensor="ft", generator=rng, signal="hand").signal == "hand/analog:o"
+    )
+    with pytest.raises(DataError, match=r"'\.\./hand' is no port"):
+        simulate(arm(), take, sensor="ft", generator=rng, signal="../hand")
 
 
 def test_conditions_must_make_sense() -> None:

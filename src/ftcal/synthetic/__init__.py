@@ -12,8 +12,9 @@ find back, the motion did not show or the noise hid.
 from __future__ import annotations
 
 from ftcal.synthetic.folder import read_truth, write_session
+from ftcal.synthetic.logger import Conditions, Take
 from ftcal.synthetic.sensor import PretendSensor, invent_firmware, mount
-from ftcal.synthetic.session import Conditions, SensorTruth, Session, Take, simulate
+from ftcal.synthetic.session import SensorTruth, Session, simulate
 
 __all__ = [
     "Conditions",

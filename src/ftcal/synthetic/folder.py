@@ -16,7 +16,8 @@ from ftcal.firmware import encode
 from ftcal.logs import yarp
 from ftcal.logs.layout import Layout
 from ftcal.motion import STANDARD_GRAVITY
-from ftcal.synthetic.session import Session, Take
+from ftcal.synthetic.logger import Take
+from ftcal.synthetic.session import Session
 
 if TYPE_CHECKING:
     from jaxtyping import Float
