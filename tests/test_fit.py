@@ -14,6 +14,7 @@ from ftcal.fit import FitOptions, choose_kappa, fit, measured_noise, segment_off
 from ftcal.folds import about_zero, blocked_folds, by_segment, cells, pooled
 from ftcal.noise import Noise, inefficiency
 from ftcal.ridge import ScaledProblem
+from ftcal.sandwich import robust_posterior
 from pretend import FULL_SCALE, bent, samples, workbench
 
 PRIOR = workbench()
@@ -89,6 +90,31 @@ def test_truth_lies_within_three_standard_errors() -> None:
         inside += int((error < 3 * found.estimate.standard_error).sum())
         entries += 36
     assert inside / entries >= 0.97
+
+
+def test_errors_that_follow_the_motion_widen_the_error_bars() -> None:
+    """A model error proportional to the load lasts as long as the load does: count it."""
+    inside = {}
+    for kind in ("plain", "robust"):
+        hits = []
+        for seed in range(20):
+            rng = np.random.default_rng(seed)
+            gain = bent(PRIOR, rng)
+            some = samples(gain, rng, count=6000, noise=1e-4, seconds=60.0)
+            # the model is wrong by up to 2 % for stretches of 2 s
+            wrong = np.repeat(rng.normal(size=(30, 6)) * 0.02, 200, axis=0)
+            tiles = cells([dataclasses.replace(some, wrench=some.wrench * (1 + wrong))], 1.0)
+            problem = ScaledProblem.of(pooled(tiles), PRIOR)
+            noise = measured_noise(tiles, problem, FitOptions())
+            kappa = np.full(6, 0.03)
+            if kind == "robust":
+                found = robust_posterior(problem, tiles, kappa, noise)
+            else:
+                found = problem.posterior(kappa, noise)
+            hits.append(np.abs(found.gain - gain) < 2.0 * found.standard_error)
+        inside[kind] = float(np.mean(hits))
+    # nominal 95 %; 720 correlated entries know it within about 3 %
+    assert inside["robust"] > max(inside["plain"], 0.88)
 
 
 def test_a_bent_sensor_gets_a_wide_prior_and_a_true_one_a_tight() -> None:

@@ -19,6 +19,7 @@ from ftcal.folds import Cell, Pool, aligned, blocked_folds, by_segment, pooled
 from ftcal.moments import total, within
 from ftcal.noise import Noise, inefficiency
 from ftcal.ridge import Estimate, ScaledProblem, penalty_path
+from ftcal.sandwich import robust_posterior
 from ftcal.sensor import Workbench
 
 if TYPE_CHECKING:
@@ -133,7 +134,7 @@ def fit(
                 cells, workbench, noise, directions, pool=pool, folds=options.folds
             )
         kappa = np.full(6, options.kappa if choice is None else choice.chosen)
-        estimate = problem.along(directions).posterior(kappa, noise)
+        estimate = robust_posterior(problem.along(directions), cells, kappa, noise)
     seen = excitation(problem, noise, kappa)
     return Fit(estimate, noise, seen, kappa, options.penalty, choice, moments.count)
 
