@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 WEAK_KAPPA = 0.1
 """Prior held while the noise is measured: a tenth of full scale, weaker than any mounting bends."""
 
-NOISE_ROUNDS = 5
+NOISE_ROUNDS = 4
 """Rounds of fit and residual; the noise moves by less than a percent after the third."""
 
 KAPPAS = np.geomspace(3e-4, 0.3, 31)
@@ -143,32 +143,31 @@ def measured_noise(cells: Sequence[Cell], problem: ScaledProblem, options: FitOp
     """Return the residual of a weakly held fit: its size and its statistical inefficiency.
 
     The size counts the parameters that the fit spent (an offset a segment, the data's share of
-    every direction). What the options give is taken as given.
+    every direction); it comes from the moments, only the inefficiency needs the samples. What the
+    options give is taken as given.
     """
     groups = by_segment(cells)
-    scale = problem.workbench.full_scale
-    zero = np.zeros((6, len(problem.basis)))
+    least = 1e-12 * problem.workbench.full_scale
     count = max(problem.moments.count, 1)
-    sd = np.sqrt(problem.squared_error(zero) / count)
-    noise = Noise(np.maximum(sd, 1e-12 * scale), np.ones(6))
+    d = np.maximum(np.linalg.eigvalsh(problem.S_yy), 0.0)
     kappas = np.full((1, 6), WEAK_KAPPA)
+    E = np.zeros((6, len(d)))
+    noise = Noise(np.sqrt(problem.squared_error(E) / count), np.ones(6))
     for _ in range(NOISE_ROUNDS):
+        noise = Noise(np.maximum(noise.sd, least), noise.inefficiency)
         E = problem.path(kappas, noise)[0]
-        gain = problem.estimate(E, np.zeros((6, len(E[0]), len(E[0])))).coefficients
-        residuals = aligned(groups, gain)
-        repeat = inefficiency(residuals)
-        d = np.maximum(np.linalg.eigvalsh(problem.S_yy), 0.0)
-        share = d / (d + problem.penalties(kappas, noise)[0][:, None])
-        independent = count / repeat
-        left = np.maximum(independent - share.sum(axis=1) - len(groups), 0.1 * independent)
-        square = sum(np.sum(r**2, axis=0) for r in residuals)
-        sd = np.sqrt(square / count * independent / left)
-        noise = Noise(np.maximum(sd, 1e-12 * scale), repeat)
-    if options.noise is not None:
-        noise = Noise(np.asarray(options.noise, dtype=np.float64), noise.inefficiency)
+        noise = Noise(np.sqrt(problem.squared_error(E) / count), noise.inefficiency)
+    gain = problem.estimate(E, np.zeros((6, len(d), len(d)))).coefficients
+    repeat = inefficiency(aligned(groups, gain))
     if options.samples_per_independent is not None:
-        noise = Noise(noise.sd, np.full(6, options.samples_per_independent))
-    return noise
+        repeat = np.full(6, options.samples_per_independent)
+    if options.noise is not None:
+        return Noise(np.asarray(options.noise, dtype=np.float64), repeat)
+    held = problem.penalties(kappas, Noise(np.maximum(noise.sd, least), repeat))[0]
+    spent = (d / (d + held[:, None])).sum(axis=1) + len(groups)
+    independent = count / repeat
+    left = np.maximum(independent - spent, 0.1 * independent)
+    return Noise(np.maximum(noise.sd * np.sqrt(independent / left), least), repeat)
 
 
 def choose_kappa(

@@ -1,7 +1,7 @@
 """Count, mean and centred scatter of a table: all that least squares needs of it, and they merge.
 
 Scatter is kept about the mean because counts ride on offsets of 30 000 with 100 of signal, and
-merged pairwise: T. F. Chan, G. H. Golub, R. J. LeVeque, "Updating formulae and a pairwise
+merged so: T. F. Chan, G. H. Golub, R. J. LeVeque, "Updating formulae and a pairwise
 algorithm for computing sample variances", Stanford 1979. How moments are pooled is how offsets are
 modelled: `a + b` is one table with one offset, `within([a, b])` two tables with an offset each.
 """
@@ -71,18 +71,20 @@ class Moments:
 
 
 def total(parts: Sequence[Moments]) -> Moments:
-    """Return the moments of all tables stacked into one: one mean, so one offset for all.
-
-    Adds neighbours in a tree, which keeps the rounding error at the logarithm of their number.
-    """
+    """Return the moments of all tables stacked into one: one mean, so one offset for all."""
     if not parts:
         raise ValueError("no moments to add")
-    level = list(parts)
-    while len(level) > 1:
-        level = [a + b for a, b in zip(level[::2], level[1::2], strict=False)] + (
-            [level[-1]] if len(level) % 2 else []
-        )
-    return level[0]
+    counts = np.array([part.count for part in parts], dtype=np.float64)
+    count = int(counts.sum())
+    if count == 0:
+        return parts[0]
+    # about one of the means: the others are near it, zero is not
+    near = max(parts, key=lambda part: part.count).mean
+    steps = np.array([part.mean for part in parts]) - near
+    step = counts @ steps / count
+    apart = steps - step
+    scatter = np.sum([part.scatter for part in parts], axis=0)
+    return Moments(count, near + step, scatter + apart.T @ (counts[:, None] * apart))
 
 
 def within(parts: Sequence[Moments]) -> Moments:

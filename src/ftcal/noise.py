@@ -20,6 +20,9 @@ if TYPE_CHECKING:
 SOKAL_WINDOW = 5.0
 """Lags are summed up to this many autocorrelation times."""
 
+LONGEST = 32768
+"""Samples that are transformed at a time: they stay in the cache."""
+
 
 @dataclass(frozen=True, slots=True)
 class Noise:
@@ -42,12 +45,15 @@ def autocovariance(series: Float[Array, "N D"]) -> Float[Array, "N D"]:
 def inefficiency(pieces: Sequence[Float[Array, "N D"]]) -> Float[Array, "D"]:
     """Return `1 + 2 sum rho_k` per column of residuals that come in several stretches.
 
-    The autocovariances of the stretches are pooled; lags are summed in Sokal's window.
+    The autocovariances of the stretches are pooled; lags are summed in Sokal's window. Long
+    stretches are taken in parts of `LONGEST` samples, far longer than any residual remembers.
     """
+    width = pieces[0].shape[1] if len(pieces) else 6
+    pieces = [part[i : i + LONGEST] for part in pieces for i in range(0, len(part), LONGEST)]
     longest = max((len(piece) for piece in pieces), default=0)
     if longest < 2:
-        return np.ones(pieces[0].shape[1] if pieces else 6)
-    pooled = np.zeros((longest, pieces[0].shape[1]))
+        return np.ones(width)
+    pooled = np.zeros((longest, width))
     for piece in pieces:
         if len(piece):
             pooled[: len(piece)] += autocovariance(piece)

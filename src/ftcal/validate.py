@@ -22,6 +22,9 @@ if TYPE_CHECKING:
 BLOCK = 2.0
 """Length [s] of the blocks that the bootstrap resamples: longer than the smoothing remembers."""
 
+MOST_BLOCKS = 500
+"""More blocks tell the interval no better: they get longer instead."""
+
 RESAMPLES = 2000
 """Bootstrap resamples: the ends of a 90 % interval then move by about 1 % of its width."""
 
@@ -123,6 +126,8 @@ def block_sums(
     """Return the sums of squared residuals per block in time: new matrix, Workbench."""
     new: list[Array] = []
     old: list[Array] = []
+    spans = [float(piece.time[-1] - piece.time[0]) for piece in pieces if len(piece.time)]
+    block = max(block, sum(spans) / MOST_BLOCKS)
     for piece in pieces:
         if not len(piece.time):
             continue
