@@ -29,6 +29,7 @@ from ftcal.one_sensor import SensorOutcome, deployed, validate_by_folds
 from ftcal.pairing import FtChannel, Paired
 from ftcal.pipeline import Outcome
 from ftcal.plots.figure import plain, shortened, thinned, with_holes
+from ftcal.progress import Steps, silent
 from ftcal.recording import NANOSECONDS, Finding, Recording, Signal
 from ftcal.report.words import figures, fixed, percent, strength, whisker
 from ftcal.robot import FtSensor, Joint, Link, Robot
@@ -106,7 +107,7 @@ def an_outcome(
     envelope = load_envelope(np.concatenate([segment.wrench for segment in training]))
     pieces = [held_out(s, found.estimate.coefficients, prior) for s in test]
     hold_out = score("hold-out", pieces, envelope) if pieces else None
-    k_fold = validate_by_folds(tiles, prior, options or FitOptions(), within)
+    k_fold = validate_by_folds(tiles, prior, options or FitOptions(), within, Steps(silent, 5))
     verdicts = judge(found.excitation, hold_out or k_fold)
     findings = (
         Finding("frozen", signal, 10.5, 11.0, True, f"{signal}: frozen from 10.5 to 11 s {name}"),

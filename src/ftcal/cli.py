@@ -21,7 +21,7 @@ from ftcal.errors import FtcalError
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from ftcal.pipeline import Progress
+    from ftcal.progress import Progress
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -57,22 +57,25 @@ def mendable(command: Callable[P, R]) -> Callable[P, R]:
 def progress_bar() -> Iterator[Progress]:
     """Yield a progress callback that draws a bar on a terminal's stderr once a run takes long."""
     import threading
+    import time
 
     from rich.console import Console
+    from rich.markup import escape
     from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
     from rich.progress import Progress as Bar
 
     rate = TextColumn("{task.fields[rate]}")
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), rate)
-    bar = Bar(*columns, TimeRemainingColumn(), console=Console(stderr=True), transient=True)
+    columns = (BarColumn(), MofNCompleteColumn(), rate)
+    doing = TextColumn("{task.description}")
+    bar = Bar(*columns, TimeRemainingColumn(), doing, console=Console(stderr=True), transient=True)
     task = bar.add_task("starting", total=None, rate="")
 
-    def tell(stage: str, done: int, total: int) -> None:
-        speed = bar.tasks[0].speed
-        shown = f"{speed:.2g}/s" if speed else ""
-        if bar.tasks[0].description != stage:
-            bar.reset(task, description=stage)
-        bar.update(task, completed=done, total=total, rate=shown)
+    begun = time.monotonic()
+
+    def tell(doing: str, done: int, total: int) -> None:
+        rate = done / max(time.monotonic() - begun, 1e-9)
+        shown = f"{rate:.2g} steps/s" if done else ""
+        bar.update(task, description=escape(doing), completed=done, total=total, rate=shown)
 
     timer = threading.Timer(PATIENCE, bar.start)
     timer.daemon = True

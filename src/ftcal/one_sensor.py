@@ -17,6 +17,7 @@ from ftcal.folds import Cell, Pool, about_zero, blocked_folds, by_segment, cells
 from ftcal.moments import within
 from ftcal.offset import InSituOffset, in_situ_offset
 from ftcal.pairing import FtChannel, Paired, Windows, apart, pair
+from ftcal.progress import Steps
 from ftcal.recording import Finding, Recording
 from ftcal.ridge import Estimate
 from ftcal.robot import FtSensor, Robot
@@ -67,6 +68,7 @@ def calibrate_sensor(
     channel: FtChannel,
     recordings: Sequence[Recording],
     findings: Sequence[Sequence[Finding]],
+    steps: Steps,
 ) -> SensorOutcome:
     """Return everything about one sensor.
 
@@ -81,6 +83,7 @@ def calibrate_sensor(
     test: list[Samples] = []
     offsets: list[InSituOffset] = []
     for section, recording, found in zip(job.recordings, recordings, findings, strict=True):
+        steps.begin(f"pairing {channel.sensor} in {section.label}")
         both = pair_recording(job, robot, channel, section, recording, found, reference)
         train, held = split(section, both, job.signals.smoothing)
         if in_situ:
@@ -102,11 +105,12 @@ def calibrate_sensor(
     pool: Pool = about_zero if in_situ else within
     tiles = cells(fitted, job.signals.smoothing)
     options = job.fit.options()
+    steps.begin(f"fitting {channel.sensor}")
     result = fit(tiles, channel.workbench, options, pool)
     trained = load_envelope(np.concatenate([segment.wrench for segment in training]))
     pieces = [held_out(s, result.estimate.coefficients, channel.workbench) for s in test]
     hold_out = score("hold-out", pieces, trained) if pieces else None
-    k_fold = validate_by_folds(tiles, channel.workbench, options, pool)
+    k_fold = validate_by_folds(tiles, channel.workbench, options, pool, steps)
     verdicts = judge(result.excitation, hold_out or k_fold)
     mine = {channel.signal, channel.temperature}
     return SensorOutcome(
@@ -201,7 +205,7 @@ def raw_offset(both: Paired, segment: Samples, channel: FtChannel) -> InSituOffs
 
 
 def validate_by_folds(
-    tiles: Sequence[Cell], workbench: Workbench, options: FitOptions, pool: Pool
+    tiles: Sequence[Cell], workbench: Workbench, options: FitOptions, pool: Pool, steps: Steps
 ) -> Scores | None:
     """Return the scores of blocked K-fold: each block read by a fit that never saw it.
 
@@ -214,6 +218,7 @@ def validate_by_folds(
         return None
     pieces: list[HeldOut] = []
     for fold in folds:
+        steps.begin("validating on blocks it never saw")
         inner = replace(options, folds=max(2, min(options.folds, len(fold.train) // 2)))
         try:
             estimate = fit(fold.train, workbench, inner, pool).estimate

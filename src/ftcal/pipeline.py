@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,18 +18,12 @@ from ftcal.evidence import provenance, sensor_calibration
 from ftcal.health import examine
 from ftcal.one_sensor import SensorOutcome, calibrate_sensor, pair_recording
 from ftcal.pairing import FtChannel
+from ftcal.progress import Progress, Steps, silent
 from ftcal.recording import Finding, Recording
 from ftcal.robot import Robot
 from ftcal.urdf import read_robot
 from ftcal.validate import Scores, held_out, score
 from ftcal.workbench import read_workbench
-
-Progress = Callable[[str, int, int], None]
-"""Called with what is being done, how many pieces are done and how many there are."""
-
-
-def silent(stage: str, done: int, total: int) -> None:
-    """Show no progress."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,13 +52,13 @@ def calibrate(job: Job, *, progress: Progress = silent) -> Outcome:
     robot = read_robot(job.path(job.robot))
     channels = [ft_channel(job, robot, section) for section in job.sensors]
     check_contacts(job, robot, channels)
-    recordings, findings = read_recordings(job, channels, progress)
-    outcomes = []
-    steps = len(channels)
-    for number, channel in enumerate(channels):
-        progress("calibrating", number, steps)
-        outcomes.append(calibrate_sensor(job, robot, channel, recordings, findings))
-    progress("calibrating", steps, steps)
+    takes = len(job.recordings)
+    steps = Steps(progress, takes + len(channels) * (takes + 1 + job.fit.folds))
+    recordings, findings = read_recordings(job, channels, steps)
+    outcomes = [
+        calibrate_sensor(job, robot, channel, recordings, findings, steps) for channel in channels
+    ]
+    steps.begin("writing")
     flat = tuple((r.name, f) for r, found in zip(recordings, findings, strict=True) for f in found)
     calibration = Calibration(
         robot=robot.name,
@@ -97,13 +91,12 @@ def check_contacts(job: Job, robot: Robot, channels: Sequence[FtChannel]) -> Non
 
 
 def read_recordings(
-    job: Job, channels: Sequence[FtChannel], progress: Progress
+    job: Job, channels: Sequence[FtChannel], steps: Steps
 ) -> tuple[list[Recording], list[tuple[Finding, ...]]]:
     """Return the recordings of the job and what is wrong with each."""
     recordings, findings = [], []
-    total = len(job.recordings)
-    for number, section in enumerate(job.recordings):
-        progress("reading", number, total)
+    for section in job.recordings:
+        steps.begin(f"reading {section.label}")
         path = job.path(section.log)
         if not path.exists():
             raise JobError(f"{job.file}: no log at {section.log}; paths are relative to the job")
@@ -111,7 +104,6 @@ def read_recordings(
         sensors = {c.signal: c.workbench.firmware for c in channels}
         recordings.append(recording)
         findings.append((*recording.findings, *examine(recording, sensors=sensors)))
-    progress("reading", total, total)
     return recordings, findings
 
 
@@ -126,13 +118,16 @@ def score_calibration(
     robot = read_robot(job.path(job.robot))
     channels = [calibrated_channel(calibration, section) for section in job.sensors]
     check_contacts(job, robot, channels)
-    recordings, findings = read_recordings(job, channels, progress)
+    takes = len(job.recordings)
+    steps = Steps(progress, takes * (1 + len(channels)))
+    recordings, findings = read_recordings(job, channels, steps)
     scores = {}
     for channel in channels:
         known = calibration.sensor(channel.sensor)
         coefficients = known.coefficients
         pieces = []
         for section, recording, found in zip(job.recordings, recordings, findings, strict=True):
+            steps.begin(f"scoring {channel.sensor} in {section.label}")
             both = pair_recording(
                 job, robot, channel, section, recording, found, known.reference_temperature
             )
