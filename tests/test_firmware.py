@@ -153,7 +153,7 @@ def test_row_of_one_entry_gets_a_full_scale_that_holds_it() -> None:
         ({3: "12345"}, r"word 4 is '12345', not 1 to 4 hex digits"),
         ({36: "2"}, r"entry 37 is '2', not the constant 1"),
         ({38: "0", 39: "-3"}, r"full scale 2 is '0', .*; full scale 3 is '-3', not a positive"),
-        (dict.fromkeys(range(6), "0"), r"singular, condition number inf exceeds 1e\+08"),
+        (dict.fromkeys(range(6), "0"), r"singular, condition number"),
     ],
 )
 def test_broken_files_are_refused(change: dict[int, str | None], message: str) -> None:
