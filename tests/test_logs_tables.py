@@ -117,7 +117,7 @@ def test_stamps_are_read_to_the_last_digit(tmp_path: Path, stamp: str, nanosecon
 @pytest.mark.parametrize(("unit", "scale"), [("s", 10**9), ("ms", 10**6), ("us", 1000), ("ns", 1)])
 def test_whole_numbers_from_boot_need_a_unit(tmp_path: Path, unit: TimeUnit, scale: int) -> None:
     file = write(tmp_path / "log.csv", ["time", "knee"], [[5, 1], [6, 1]])
-    with pytest.raises(LogError, match="say time_unit in the layout"):
+    with pytest.raises(LogError, match="give time_unit in the job"):
         read(file)
     stamps = read(file, Layout(time_unit=unit)).joints[0].stamps
     assert stamps.tolist() == [5 * scale, 6 * scale]

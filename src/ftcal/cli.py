@@ -110,15 +110,16 @@ def main() -> None:
 @main.command(short_help="Show what is in a log and what is wrong with it.")
 @click.argument("log", type=TEXT)
 @click.option("--robot", type=TEXT, help="URDF or xacro: show which joints and sensors match.")
+@click.option("--time", default="time", show_default=True, help="Tables: column of the stamps.")
 @as_json
 @mendable
-def inspect(log: Path, robot: Path | None, machine: bool) -> None:
+def inspect(log: Path, robot: Path | None, time: str, machine: bool) -> None:
     """Show what is in LOG, what is wrong with it and what of it the robot knows."""
     from ftcal import logs, terminal
     from ftcal.health import examine
     from ftcal.urdf import read_robot
 
-    recording = logs.read(log)
+    recording = logs.read(log, logs.Layout(time=time))
     findings = (*recording.findings, *examine(recording))
     model = None if robot is None else read_robot(robot)
     if machine:
@@ -206,14 +207,17 @@ def validate(calibration: Path, job: Path, machine: bool) -> None:
     show_default=True,
     help="Which recording's offset: its name, `zero`, or auto (LOG's own, else the last).",
 )
+@click.option("--like", type=TEXT, help="Job whose first recording says how LOG is to be read.")
 @mendable
-def apply(calibration: Path, log: Path, output: Path, offset: str) -> None:
+def apply(calibration: Path, log: Path, output: Path, offset: str, like: Path | None) -> None:
     """Recalibrate LOG: write the corrected wrenches of every calibrated sensor that it carries."""
     from ftcal import logs
     from ftcal.applying import corrected, write_table
     from ftcal.calibration import read_calibration
+    from ftcal.config import read_job
 
-    recording, used = corrected(read_calibration(calibration), logs.read(log), offset)
+    layout = logs.Layout() if like is None else read_job(like).recordings[0].layout()
+    recording, used = corrected(read_calibration(calibration), logs.read(log, layout), offset)
     write_table(recording, output)
     for sensor, source in used.items():
         click.echo(f"{sensor}: offset of {source}")

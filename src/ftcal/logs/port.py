@@ -159,5 +159,5 @@ def _names(port: Port, logged: int, layout: Layout) -> tuple[str, ...]:
             said = ("temperature",)
     if len(said) != logged:
         raise LogError(f"{port.samples}: {logged} columns but {len(said)} names;"
-                       f" say in the layout what {name!r} logs")  # fmt: skip
+                       f" say in the job, as joints or channels, what {name!r} logs")  # fmt: skip
     return said

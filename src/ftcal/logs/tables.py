@@ -92,7 +92,7 @@ def _load(file: Path, layout: Layout) -> _Table:
     if twice := [name for name, count in Counter(names).items() if count > 1]:
         raise LogError(f"{file}: column {twice[0]!r} appears {names.count(twice[0])} times; rename")
     if layout.time not in names:
-        raise LogError(f"{file}: {unknown('time column', layout.time, names)}; say in the layout")
+        raise LogError(f"{file}: {unknown('time column', layout.time, names)}; say time = COLUMN")
     if not table.num_rows:
         raise LogError(f"{file}: a header but no rows; leave the file out")
     by_name = dict(zip(names, table.columns, strict=True))

@@ -58,7 +58,7 @@ def _whole(column: Any, unit: TimeUnit | None, where: str) -> Int[Array, "N"]:
                 if _YEAR_2000 <= low * ns / NANOSECONDS < _YEAR_2100]  # fmt: skip
         if not fits:  # the ranges of two units never meet
             raise LogError(f"{where}: whole numbers from {low} are no Unix time of this century;"
-                           " say time_unit in the layout")  # fmt: skip
+                           " give time_unit in the job")  # fmt: skip
         unit = fits[0]
     if max(-low, high) > _LAST // _NANOSECONDS[unit]:
         raise LogError(f"{where}: {high} {unit} lies beyond the year 2262; correct time_unit")
@@ -72,7 +72,7 @@ def _fractional(column: Any, unit: TimeUnit, where: str, first_row: int) -> Int[
     largest = float(np.abs(moments).max(initial=0.0))
     if largest >= _LAST:
         raise LogError(f"{where}: {largest / NANOSECONDS:.3g} s lies beyond the year 2262;"
-                       " say time_unit in the layout")  # fmt: skip
+                       " give time_unit in the job")  # fmt: skip
     step = 1 if largest < _EXACT else 1000
     stamps: Int[Array, "N"] = np.rint(moments / step).astype(np.int64) * step
     return stamps

@@ -67,7 +67,7 @@ def read(path: Path, layout: Layout, *, name: str | None = None) -> Recording:
     if not any(part.signals for part in parts):
         raise LogError(
             f"{path}: no joint, F/T or inertial sample (ports:"
-            f" {', '.join(sorted(known))}); name those to use in the layout"
+            f" {', '.join(sorted(known))}); name those to use in the job, as joints or channels"
         )
     return columns.recording(
         columns.merge(parts),
@@ -89,7 +89,7 @@ def _open(folder: Path, layout: Layout) -> Port:
         role = ""  # encoders, skin: nothing that is read
     if link.bottle and not (role or link.port) and log.is_file() and dump.numeric(log):
         raise LogError(f"{folder}: no info.log says what port {name!r} is;"
-                       " name it in the layout as joints or channels")  # fmt: skip
+                       " name it in the job as joints or channels")  # fmt: skip
     return Port(folder, name, role, link)
 
 
