@@ -63,7 +63,7 @@ def test_a_robot_that_stands_still_is_refused() -> None:
     some = samples(PRIOR.gain, rng, share=0.0, noise=1e-3)
     noisy = some.channels + rng.normal(size=some.channels.shape)
     found = fit(cells([dataclasses.replace(some, channels=noisy)], 1.0), PRIOR)
-    assert [v.word for v in judge(found.excitation, None)] == ["REFUSE"] * 6
+    assert [v.word for v in judge(found.excitation, None, FULL_SCALE)] == ["REFUSE"] * 6
 
 
 def test_scale_gauge_of_a_lone_balance_is_refused() -> None:
@@ -78,7 +78,7 @@ def test_scale_gauge_of_a_lone_balance_is_refused() -> None:
     prior = Workbench("both", gains, FULL_SCALE, "channels")
     plain = fit(cells([shank], 1.0), prior, FitOptions(penalty=1e-9))
     assert plain.excitation.scale_is_free
-    verdicts = judge(plain.excitation, None)
+    verdicts = judge(plain.excitation, None, FULL_SCALE)
     assert {v.word for v in verdicts} == {"REFUSE"}
     assert all("scale gauge" in v.reason for v in verdicts)
     assert overall(verdicts) == "REFUSE"

@@ -276,3 +276,16 @@ def test_real_robot_swapped_serials_are_found() -> None:
     wrong = [f.message for f in examine(recording, sensors=swapped) if f.kind == "off lattice"]
     assert len(wrong) == 2
     assert "SN026 fits" in wrong[0] or "SN026 fits" in wrong[1]
+
+
+@real
+def test_the_matrix_of_another_sensor_cuts_nothing() -> None:
+    """Counts behind a wrong matrix would seem saturated; the lattice says it is the wrong one."""
+    from ftcal.logs import read
+
+    other = read_matrix(ROBOT / "matrices" / "matrix_SN217.txt")
+    recording = read(ROBOT / "left_leg_support")
+    findings = examine(recording, sensors={"right_leg/analog:o": other})
+    mine = [finding for finding in findings if finding.signal == "right_leg/analog:o"]
+    assert [finding.kind for finding in mine] == ["off lattice"]
+    assert not mine[0].cut

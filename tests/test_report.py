@@ -108,7 +108,7 @@ def an_outcome(
     pieces = [held_out(s, found.estimate.coefficients, prior) for s in test]
     hold_out = score("hold-out", pieces, envelope) if pieces else None
     k_fold = validate_by_folds(tiles, prior, options or FitOptions(), within, Steps(silent, 5))
-    verdicts = judge(found.excitation, hold_out or k_fold)
+    verdicts = judge(found.excitation, hold_out or k_fold, prior.full_scale)
     findings = (
         Finding("frozen", signal, 10.5, 11.0, True, f"{signal}: frozen from 10.5 to 11 s {name}"),
         Finding("saturated", signal, 3.0, 3.01, True, "a channel at its end"),

@@ -88,6 +88,9 @@ def test_two_blocks_say_nothing() -> None:
     assert bootstrap_interval(np.ones(2), np.ones(2), np.random.default_rng(0)) == (0.0, np.inf)
 
 
+UNIT = np.ones(6)
+
+
 def seen(
     *, signal: float = 50.0, share: float = 1.0, amplitude: float = 1.0, anchored: bool = True
 ) -> Excitation:
@@ -104,37 +107,43 @@ def with_interval(low: float, high: float, amplitude: float = 1.0) -> Scores:
 
 
 def test_better_and_fully_seen_is_accepted() -> None:
-    assert overall(judge(seen(), with_interval(40, 60))) == "ACCEPT"
+    assert overall(judge(seen(), with_interval(40, 60), UNIT)) == "ACCEPT"
 
 
 def test_better_with_a_direction_on_the_prior_is_partial() -> None:
-    verdicts = judge(seen(signal=1.0), with_interval(40, 60))
+    verdicts = judge(seen(signal=1.0), with_interval(40, 60), UNIT)
     assert overall(verdicts) == "PARTIAL"
     assert "1 direction not excited: tz" in verdicts[0].reason
-    assert overall(judge(seen(share=0.2), with_interval(40, 60))) == "PARTIAL"
+    assert overall(judge(seen(share=0.2), with_interval(40, 60), UNIT)) == "PARTIAL"
 
 
 def test_an_interval_that_contains_a_hundred_keeps_the_workbench() -> None:
-    verdicts = judge(seen(), with_interval(40, 110))
+    verdicts = judge(seen(), with_interval(40, 110), UNIT)
     assert not any(v.use for v in verdicts)
     assert "no better" in verdicts[0].reason
 
 
+def test_a_matrix_trained_on_next_to_no_load_is_partial() -> None:
+    verdicts = judge(seen(), with_interval(40, 60), 200.0 * UNIT)
+    assert overall(verdicts) == "PARTIAL"
+    assert "trained on 0.5 % of full scale" in verdicts[0].reason
+
+
 def test_a_worse_axis_says_so() -> None:
-    assert "worse" in judge(seen(), with_interval(120, 140))[0].reason
+    assert "worse" in judge(seen(), with_interval(120, 140), UNIT)[0].reason
 
 
 def test_without_validation_nothing_is_accepted() -> None:
-    assert {v.word for v in judge(seen(), None)} == {"REFUSE"}
+    assert {v.word for v in judge(seen(), None, UNIT)} == {"REFUSE"}
 
 
 def test_a_reading_that_noise_shrank_is_refused() -> None:
     vanished = with_interval(1, 2, amplitude=0.05)
-    loose = judge(seen(signal=1.0, anchored=False), vanished)
+    loose = judge(seen(signal=1.0, anchored=False), vanished, UNIT)
     assert {v.word for v in loose} == {"REFUSE"}
     assert "shrinks to 5 %" in loose[0].reason
     # cross-talk on an axis that is never loaded may rightly vanish where the prior holds the rest
-    assert overall(judge(seen(signal=1.0), vanished)) == "PARTIAL"
+    assert overall(judge(seen(signal=1.0), vanished, UNIT)) == "PARTIAL"
 
 
 def test_advice_names_what_is_kept() -> None:

@@ -95,11 +95,11 @@ class Excitation:
 
 
 def in_words(vector: Float[Array, "P"], names: tuple[str, ...]) -> str:
-    """Return the large components of a direction, the largest first and scaled to one."""
+    """Return the largest components of a direction, at most three, scaled to the first."""
     order = np.argsort(-np.abs(vector), kind="stable")
     largest = vector[order[0]]
     words = str(names[order[0]])
-    for i in order[1:]:
+    for i in order[1:3]:
         share = vector[i] / largest
         if abs(share) >= 0.25:
             words += f" {'+' if share > 0 else '-'} {abs(share):.1f} {names[i]}"

@@ -191,7 +191,7 @@ def choose_kappa(
     """
     grid = np.broadcast_to(kappas[:, None], (len(kappas), 6))
     squares, baseline, count = [], [], 0
-    for fold in blocked_folds(cells, folds):
+    for fold in blocked_folds(cells, max(2, min(folds, len(cells) // 2))):
         train = ScaledProblem.of(pooled(fold.train, pool), workbench).along(directions)
         held = ScaledProblem.of(pooled(fold.held, pool), workbench)
         squares.append(held.squared_error(train.path(grid, noise)))

@@ -72,10 +72,13 @@ def examine(
     for signal in recording.channels:
         if len(signal):
             matrix = matrices.get(signal.name)
+            six = signal.values.shape[1] == 6
+            named = serial(recording, signal, matrix, known) if six else ()
+            # counts behind the matrix of another sensor say nothing of saturation
+            other = any(finding.kind == "off lattice" for finding in named)
             found += frozen(recording, signal)
-            found += saturated(recording, signal, matrix)
-            if signal.values.shape[1] == 6:
-                found += serial(recording, signal, matrix, known)
+            found += saturated(recording, signal, None if other else matrix)
+            found += named
     return tuple(found)
 
 

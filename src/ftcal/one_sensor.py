@@ -111,7 +111,7 @@ def calibrate_sensor(
     pieces = [held_out(s, result.estimate.coefficients, channel.workbench) for s in test]
     hold_out = score("hold-out", pieces, trained) if pieces else None
     k_fold = validate_by_folds(tiles, channel.workbench, options, pool, steps)
-    verdicts = judge(result.excitation, hold_out or k_fold)
+    verdicts = judge(result.excitation, hold_out or k_fold, channel.workbench.full_scale)
     mine = {channel.signal, channel.temperature}
     return SensorOutcome(
         robot.sensor(channel.sensor),

@@ -11,11 +11,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from ftcal.excitation import Excitation
 from ftcal.sensor import AXES
-from ftcal.validate import Scores
+from ftcal.validate import Score, Scores
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+    from numpy import ndarray as Array
+
+LEAST_LOAD = 0.01
+"""An axis trained on loads below this share of full scale is not shown to be right beyond them."""
 
 LEAST_READING = 0.3
 """Least squares that leaves less of the Workbench's reading of an axis has fitted noise."""
@@ -70,37 +77,50 @@ def identifiable(excitation: Excitation, axis: int) -> Verdict:
     return Verdict(name, "ACCEPT", "the data speak in every direction")
 
 
-def judge(excitation: Excitation, scores: Scores | None) -> tuple[Verdict, ...]:
-    """Return the verdict on every axis from what could be known and from held-out samples."""
+def judge(
+    excitation: Excitation, scores: Scores | None, full_scale: Float[Array, "6"]
+) -> tuple[Verdict, ...]:
+    """Return the verdict on every axis from what could be known and from held-out samples.
+
+    An axis that was trained on less than `LEAST_LOAD` of its `full_scale` [N, Nm] is PARTIAL.
+    """
     verdicts = []
     for axis, name in enumerate(AXES):
         known = identifiable(excitation, axis)
         if known.word == "REFUSE":
             verdicts.append(known)
-            continue
-        if scores is None:
-            verdicts.append(
-                Verdict(name, "REFUSE", "not validated: too little data to hold any out")
-            )
-            continue
-        score = scores.by_name[name]
-        if not excitation.anchored and known.word == "PARTIAL" and score.amplitude < LEAST_READING:
-            why = (
-                f"the reading shrinks to {100 * score.amplitude:.0f} %: noise fills what is not"
-                " excited; give kappa instead of lambda"
-            )
-            verdicts.append(Verdict(name, "REFUSE", f"{why} ({known.reason})"))
-            continue
-        low, high = score.interval
-        figure = f"{score.percent:.0f} % of Workbench on {scores.kind} [{low:.0f}, {high:.0f}]"
-        if not high < 100.0:
-            why = "no better than the Workbench" if low < 100.0 else "worse than the Workbench"
-            verdicts.append(Verdict(name, "REFUSE", f"{figure}; {why}", figure))
-        elif known.word == "PARTIAL":
-            verdicts.append(Verdict(name, "PARTIAL", f"{figure}; {known.reason}", figure))
+        elif scores is None:
+            reason = "not validated: too little data to hold any out"
+            verdicts.append(Verdict(name, "REFUSE", reason))
         else:
-            verdicts.append(Verdict(name, "ACCEPT", figure, figure))
+            limit = float(full_scale[axis])
+            found = scores.by_name[name]
+            verdicts.append(weigh(known, found, scores.kind, limit, excitation.anchored))
     return tuple(verdicts)
+
+
+def weigh(known: Verdict, score: Score, kind: str, full_scale: float, anchored: bool) -> Verdict:
+    """Return the verdict on one axis whose held-out error is known."""
+    name = known.axis
+    partial = known.word == "PARTIAL"
+    if partial and not anchored and score.amplitude < LEAST_READING:
+        why = (
+            f"the reading shrinks to {100 * score.amplitude:.0f} %: noise fills what is not"
+            " excited; give kappa instead of lambda"
+        )
+        return Verdict(name, "REFUSE", f"{why} ({known.reason})")
+    low, high = score.interval
+    figure = f"{score.percent:.0f} % of Workbench on {kind} [{low:.0f}, {high:.0f}]"
+    if not high < 100.0:
+        why = "no better than the Workbench" if low < 100.0 else "worse than the Workbench"
+        return Verdict(name, "REFUSE", f"{figure}; {why}", figure)
+    limits = [known.reason] if partial else []
+    load = max(map(abs, score.trained)) / full_scale
+    if load < LEAST_LOAD:
+        limits.append(f"trained on {100 * load:.1f} % of full scale, not shown to hold beyond")
+    if limits:
+        return Verdict(name, "PARTIAL", "; ".join([figure, *limits]), figure)
+    return Verdict(name, "ACCEPT", figure, figure)
 
 
 def overall(verdicts: Sequence[Verdict]) -> Word:
