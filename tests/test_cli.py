@@ -119,3 +119,13 @@ def test_markup_in_a_name_is_printed_as_text(world: Path, tmp_path: Path) -> Non
     )
     result = run("inspect", world / "one.csv", "--robot", tmp_path / "arm.urdf")
     assert "[red]ft[/red]" in result.stdout
+
+
+def test_demo_shows_truth_beside_estimate(tmp_path: Path) -> None:
+    pytest.importorskip("icub_models")
+    result = run("demo", "-o", tmp_path / "demo", "--seed", "3")
+    assert result.exit_code == 0, result.stderr
+    assert "within three standard errors" in result.stdout
+    assert "Truth beside estimate" in (tmp_path / "demo" / "report.html").read_text()
+    again = run("demo", "-o", tmp_path / "again", "--seed", "3")
+    assert again.stdout.splitlines()[:-2] == result.stdout.splitlines()[:-2]

@@ -161,6 +161,8 @@ def run_job(job: Path, output: Path | None, machine: bool, *, truth: dict[str, A
         terminal.print_findings(out, outcome.findings)
         for sensor in outcome.sensors:
             terminal.print_sensor(out, sensor)
+            if truth is not None:
+                terminal.print_truth(out, sensor, truth[sensor.sensor.name])
         out.print(f"report       {report}", soft_wrap=True)
         out.print(f"calibration  {report.with_name('calibration.json')}", soft_wrap=True)
     return 0 if outcome.improved else NOT_BETTER

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING
 
+import numpy as np
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.padding import Padding
@@ -15,12 +16,16 @@ from rich.table import Table
 from rich.text import Text
 
 from ftcal.recording import Finding, Recording, Signal
+from ftcal.report.truth import Truth
 from ftcal.robot import Robot
 from ftcal.sensor import AXES
 from ftcal.validate import Score, Scores
 from ftcal.verdict import Verdict, advice, overall
 
 if TYPE_CHECKING:
+    from jaxtyping import Float
+    from numpy import ndarray as Array
+
     from ftcal.one_sensor import SensorOutcome
 
 STYLES = {"ACCEPT": "bold green", "PARTIAL": "bold yellow", "REFUSE": "bold red"}
@@ -72,6 +77,17 @@ def print_sensor(console: Console, outcome: SensorOutcome) -> None:
     )
     for reason in reasons(outcome.verdicts):
         console.print(Padding(Text(reason), (0, 0, 0, 2)))
+    console.print()
+
+
+def print_truth(console: Console, outcome: SensorOutcome, gain: Float[Array, "6 K"]) -> None:
+    """Print how far a fit is from the truth that a simulation knows."""
+    known = Truth.of(outcome, gain)
+    console.print(
+        f"truth: RMS error of an entry {100 * known.workbench_rms:.2g} % of full scale by the"
+        f" Workbench, {100 * known.rms:.2g} % in situ;"
+        f" {100 * np.mean(np.abs(known.z) < 3):.0f} % within three standard errors"
+    )
     console.print()
 
 
