@@ -84,9 +84,9 @@ def print_truth(console: Console, outcome: SensorOutcome, gain: Float[Array, "6 
     """Print how far a fit is from the truth that a simulation knows."""
     known = Truth.of(outcome, gain)
     console.print(
-        f"truth: RMS error of an entry {100 * known.workbench_rms:.2g} % of full scale by the"
-        f" Workbench, {100 * known.rms:.2g} % in situ;"
-        f" {100 * np.mean(np.abs(known.z) < 3):.0f} % within three standard errors"
+        f"truth known: entries are off by {100 * known.workbench_rms:.2g} % of full scale (Workbench),"
+        f" {100 * known.rms:.2g} % (in situ)\n"
+        f"             {100 * np.mean(np.abs(known.z) < 3):.0f} % of them within three standard errors"
     )
     console.print()
 
