@@ -83,10 +83,11 @@ def print_sensor(console: Console, outcome: SensorOutcome) -> None:
 def print_truth(console: Console, outcome: SensorOutcome, gain: Float[Array, "6 K"]) -> None:
     """Print how far a fit is from the truth that a simulation knows."""
     known = Truth.of(outcome, gain)
+    before, after = 100 * known.workbench_rms, 100 * known.rms
+    within = 100 * np.mean(np.abs(known.z) < 3)
     console.print(
-        f"truth known: entries are off by {100 * known.workbench_rms:.2g} % of full scale (Workbench),"
-        f" {100 * known.rms:.2g} % (in situ)\n"
-        f"             {100 * np.mean(np.abs(known.z) < 3):.0f} % of them within three standard errors"
+        f"truth known: entries are off by {before:.2g} % of full scale (Workbench), {after:.2g} %"
+        f" (in situ)\n             {within:.0f} % of them within three standard errors"
     )
     console.print()
 
