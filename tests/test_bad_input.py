@@ -148,6 +148,10 @@ CASES: dict[str, tuple[Callable[[Path], None], list[str]]] = {
         edit("job.toml", 'log = "one.csv"', 'log = "one.csv"\ntrain = [[900, 950]]'),
         ["no usable sample in any training window"],
     ),
+    "nothing to test on": (
+        edit("job.toml", "test = [[0, 40]]", "test = [[900, 950]]"),
+        ["no usable sample in any test window"],
+    ),
     "empty log": (write("one.csv", ""), ["one.csv"]),
 }
 
