@@ -72,8 +72,8 @@ def calibrate_sensor(
 ) -> SensorOutcome:
     """Return everything about one sensor.
 
-    Raises `DataError` where no training (or test) window holds a usable sample, or the in situ offset
-    is asked for and its assumption fails.
+    Raises `DataError` where no training (or no test) window holds a usable sample, or where the in
+    situ offset is asked for and its assumption fails.
     """
     in_situ = job.fit.offset == "in situ"
     reference = reference_temperature(channel, recordings)
@@ -104,8 +104,8 @@ def calibrate_sensor(
         )
     if not test and any(section.test for section in job.recordings):
         raise DataError(
-            f"sensor {channel.sensor!r}: no usable sample in any test window, {job.signals.smoothing:g}"
-            " s away from training; widen `test`"
+            f"sensor {channel.sensor!r}: no usable sample in any test window that is"
+            f" {job.signals.smoothing:g} s away from training; widen `test`"
         )
     pool: Pool = about_zero if in_situ else within
     tiles = cells(fitted, job.signals.smoothing)
