@@ -43,9 +43,10 @@ def table(*headers: str, right: Iterable[int] = ()) -> Table:
 def figures(score: Score) -> list[str]:
     """Return the figures of one score as cells: error, interval, both RMS, amplitude."""
     low, high = score.interval
-    interval = "-" if high == float("inf") else f"{low:.0f}-{high:.0f}"
+    places = 1 if max(score.percent, high) < 10 else 0
+    interval = "-" if high == float("inf") else f"{low:.{places}f}-{high:.{places}f}"
     return [
-        f"{score.percent:.0f} %",
+        f"{score.percent:.{places}f} %",
         interval,
         f"{score.rms:.3g} {score.unit}",
         f"{score.workbench_rms:.3g} {score.unit}",
@@ -107,22 +108,17 @@ def reasons(verdicts: Sequence[Verdict]) -> list[str]:
 def score_table(scores: Scores, verdicts: Sequence[Verdict] | None = None) -> Table:
     """Return the scores of one validation, an axis a row."""
     made = table(
-        scores.kind,
-        "verdict",
-        "error",
-        "90 %",
-        "RMS in situ",
-        "Workbench",
-        "amplitude",
-        "beyond",
-        right=range(2, 8),
+        *(scores.kind, *(["verdict"] if verdicts else [])),
+        *("error", "90 %", "RMS in situ", "Workbench", "amplitude", "beyond"),
+        right=range(2 if verdicts else 1, 8),
     )
     words = {verdict.axis: verdict.word for verdict in verdicts or ()}
     for name in (*AXES, "force", "torque"):
         score = scores.by_name[name]
         word = words.get(name, "")
         beyond = f"{100 * score.beyond:.0f} %" if score.beyond else "-"
-        made.add_row(name, Text(word, STYLES.get(word, "")), *figures(score), beyond)
+        judged = [Text(word, STYLES.get(word, ""))] if verdicts else []
+        made.add_row(name, *judged, *figures(score), beyond)
         if name == AXES[-1]:
             made.add_section()
     return made
