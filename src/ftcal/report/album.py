@@ -137,6 +137,6 @@ def knowledge_figures(outcome: SensorOutcome, album: Album) -> Table:
         else album.add(
             plots.prior_curve(names, choice),
             f"Training data of {names}: held-out RMS error [% of Workbench] against kappa [fraction"
-            " of full scale]. Blocks in time were held out; the least geometric mean chooses.",
+            " of full scale]. Blocks in time were held out; the weakest prior with the least geometric mean (within 0.2 %) is chosen.",
         ),
     }
