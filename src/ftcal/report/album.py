@@ -137,6 +137,7 @@ def knowledge_figures(outcome: SensorOutcome, album: Album) -> Table:
         else album.add(
             plots.prior_curve(names, choice),
             f"Training data of {names}: held-out RMS error [% of Workbench] against kappa [fraction"
-            " of full scale]. Blocks in time were held out; the weakest prior with the least geometric mean (within 0.2 %) is chosen.",
+            " of full scale]. Blocks in time were held out; the weakest prior within 0.2 %"
+            " of the least geometric mean is chosen.",
         ),
     }
