@@ -6,6 +6,7 @@ import json
 import re
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -13,6 +14,7 @@ from click.testing import CliRunner, Result
 
 from ftcal.cli import NOT_BETTER, main
 from golden import check
+from real import GENOVA02, needs_genova02
 from small_world import robot_text, write_world
 
 COMMANDS = ["inspect", "calibrate", "validate", "apply", "demo"]
@@ -129,3 +131,25 @@ def test_demo_shows_truth_beside_estimate(tmp_path: Path) -> None:
     assert "Truth beside estimate" in (tmp_path / "demo" / "report.html").read_text()
     again = run("demo", "-o", tmp_path / "again", "--seed", "3")
     assert again.stdout.splitlines()[:-2] == result.stdout.splitlines()[:-2]
+
+
+@needs_genova02
+def test_inspect_proposes_the_contacts_of_a_job(tmp_path: Path) -> None:
+    log, robot = GENOVA02 / "left_leg_support", GENOVA02 / "iCubGenova02.urdf"
+    feet = ("--zero", "right_leg/analog:o", "--feet", "l_sole", "r_sole")
+    plot = tmp_path / "contacts.html"
+    result = run("inspect", log, "--robot", robot, *feet, "--plot", plot)
+    assert result.exit_code == 0, result.stderr
+    (contact,) = tomllib.loads(result.stdout.partition("job file:")[2])["contacts"]
+    assert contact["link"] == "l_sole"
+    # the job's windows by hand lie inside
+    assert contact["start"] < 16.8
+    assert contact["stop"] > 61.5
+    assert "Contacts proposed" in plot.read_text()
+    record = json.loads(run("inspect", log, "--robot", robot, *feet, "--json").stdout)
+    assert "support" in {phase["kind"] for phase in record["phases"]}
+
+
+def test_feet_without_a_robot_are_a_usage_error(world: Path) -> None:
+    assert run("inspect", world / "one.csv", "--feet", "a", "b").exit_code == 2
+    assert run("inspect", world / "one.csv", "--plot", "x.html").exit_code == 2

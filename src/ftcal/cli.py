@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from ftcal.progress import Progress
+    from ftcal.timeline import Phase
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -111,25 +112,57 @@ def main() -> None:
 @click.argument("log", type=TEXT)
 @click.option("--robot", type=TEXT, help="URDF or xacro: show which joints and sensors match.")
 @click.option("--time", default="time", show_default=True, help="Tables: column of the stamps.")
+@click.option("--zero", help="Signal whose first sample is second 0 (default: the earliest).")
+@click.option(
+    "--feet",
+    nargs=2,
+    metavar="LINK LINK",
+    help="Two soles: propose who stood when, as the job's contacts (needs --robot).",
+)
+@click.option("--plot", type=TEXT, help="HTML file: what the proposal of --feet rests on.")
 @as_json
 @mendable
-def inspect(log: Path, robot: Path | None, time: str, machine: bool) -> None:
+def inspect(
+    log: Path,
+    robot: Path | None,
+    time: str,
+    zero: str | None,
+    feet: tuple[str, str] | None,
+    plot: Path | None,
+    machine: bool,
+) -> None:
     """Show what is in LOG, what is wrong with it and what of it the robot knows."""
+    if feet is not None and robot is None:
+        raise click.UsageError("--feet needs --robot")
+    if plot is not None and feet is None:
+        raise click.UsageError("--plot needs --feet")
     from ftcal import logs, terminal
     from ftcal.health import examine
     from ftcal.urdf import read_robot
 
-    recording = logs.read(log, logs.Layout(time=time))
+    recording = logs.read(log, logs.Layout(time=time, zero=zero))
     findings = (*recording.findings, *examine(recording))
     model = None if robot is None else read_robot(robot)
+    phases: tuple[Phase, ...] = ()
+    if feet is not None and model is not None:
+        from ftcal.plots.contact import contact_timeline
+        from ftcal.report.single import write_plot
+        from ftcal.timeline import propose_timeline
+
+        timeline = propose_timeline(recording, model, feet, findings=findings)
+        phases = timeline.phases
+        if plot is not None:
+            write_plot(plot, contact_timeline(timeline, recording.name))
     if machine:
         from ftcal.inspection import as_record
 
-        click.echo(json.dumps(as_record(recording, findings, model), indent=1))
+        click.echo(json.dumps(as_record(recording, findings, model, phases), indent=1))
         return
     out = console()
     terminal.print_recording(out, recording, model)
     terminal.print_findings(out, [(recording.name, finding) for finding in findings])
+    if phases:
+        terminal.print_phases(out, phases)
 
 
 @main.command(short_help="Calibrate the sensors of a job file.")

@@ -47,7 +47,7 @@ def expected_wrenches(
     fixed = isinstance(contact, FixedContact)
     gravity = tuple(float(g) for g in contact.gravity) if fixed else None
     tree = rooted(robot, contact.link, names)
-    columns = _columns(tree, motion, contact)
+    columns = motion_columns(tree, motion, contact)
     if engine == "numpy" or (engine == "auto" and not jit.available()):
         results = _by_numpy(tree, gravity, columns, len(motion))
     else:
@@ -74,7 +74,7 @@ def compiled(
     return compile_wrenches(rooted(robot, contact, sensors), gravity)
 
 
-def _columns(tree: Tree, motion: Motion, contact: Contact) -> list[Float[Array, "N"]]:
+def motion_columns(tree: Tree, motion: Motion, contact: Contact) -> list[Float[Array, "N"]]:
     """Return position, velocity, acceleration of each joint, then w, dw, a of a moving contact."""
     where = motion.columns(tree.joints)
     signals = (motion.position, motion.velocity, motion.acceleration)

@@ -8,12 +8,16 @@ from typing import Any
 
 from ftcal.recording import Finding, Recording, Signal
 from ftcal.robot import Robot
+from ftcal.timeline import Phase
 
 
 def as_record(
-    recording: Recording, findings: Iterable[Finding], robot: Robot | None
+    recording: Recording,
+    findings: Iterable[Finding],
+    robot: Robot | None,
+    phases: Iterable[Phase] = (),
 ) -> dict[str, Any]:
-    """Return signals, findings and, with a robot, what of it is logged."""
+    """Return signals, findings, contact phases and, with a robot, what of it is logged."""
     kinds = {
         "joints": recording.joints,
         "channels": recording.channels,
@@ -30,6 +34,7 @@ def as_record(
             for signal in signals
         ],
         "findings": [asdict(finding) for finding in findings],
+        "phases": [asdict(phase) for phase in phases],
     }
     if robot is not None:
         logged = {column for signal in recording.joints for column in signal.columns}

@@ -53,12 +53,35 @@ def wrenches(
     acceleration of each joint. `section` is called wherever a limb starts or ends.
     """
     readings: dict[str, Vector] = {}
+
+    def note(index: int, f: Vector, n: Vector) -> tuple[Vector, Vector]:
+        for cut in tree.cuts:
+            if cut.body == index:
+                readings[cut.sensor] = reading(cut, f, n)
+        return f, n
+
+    sweep(tree, base, joints, sin_cos, section, note)
+    return [readings[cut.sensor] for cut in tree.cuts]
+
+
+def sweep(
+    tree: Tree,
+    base: Twist,
+    joints: Mapping[str, tuple[Any, Any, Any]],
+    sin_cos: Callable[[Any], tuple[Any, Any]],
+    section: Callable[[], None],
+    handed: Callable[[int, Vector, Vector], tuple[Vector, Vector]],
+) -> None:
+    """Carry motion out to the tips of `tree` and wrenches back in; arguments as in `wrenches`.
+
+    `handed` learns, body by body and tips first, force and torque on the body of that index and all
+    that hangs on it, in its frame, and returns those that the body before it has to supply.
+    """
     hanging: list[list[int]] = [[] for _ in tree.bodies]
     for index, body in enumerate(tree.bodies[1:], start=1):
         hanging[body.before].append(index)
 
     def visit(index: int, twist: Twist) -> tuple[Vector, Vector]:
-        """Return force and torque on the body `index` and all that hangs on it."""
         A = _point_acceleration(twist)
         body = tree.bodies[index]
         f, n = _rate_of_momentum(body, A, twist.a) if body.behind else ([0.0] * 3, [0.0] * 3)
@@ -67,21 +90,16 @@ def wrenches(
                 section()
             limb = tree.bodies[other]
             q, dq, ddq = joints[limb.joint] if limb.joint else (0.0, 0.0, 0.0)
-            turn = sin_cos(q) if limb.kind == "revolute" else (0.0, 1.0)
-            lift = q if limb.kind == "prismatic" else 0.0
+            turn, lift = _placed(limb, q, sin_cos)
             outer = visit(other, _outwards(limb, twist, A, turn, (lift, dq, ddq)))
             if body.behind:
                 force, torque = _inwards(limb, *outer, turn, lift)
                 f, n = _plus(f, force), _plus(n, torque)
         if len(hanging[index]) > 1:
             section()
-        for cut in tree.cuts:
-            if cut.body == index:
-                readings[cut.sensor] = _reading(cut, f, n)
-        return f, n
+        return handed(index, f, n)
 
     visit(0, base)
-    return [readings[cut.sensor] for cut in tree.cuts]
 
 
 def arguments(
@@ -125,6 +143,14 @@ def _outwards(
     return Twist(w, dw, a)
 
 
+def _placed(
+    body: Body, q: Any, sin_cos: Callable[[Any], tuple[Any, Any]]
+) -> tuple[tuple[Any, Any], Any]:
+    """Return how far its joint turns `body` (sin, cos) and moves it along z."""
+    turn = sin_cos(q) if body.kind == "revolute" else (0.0, 1.0)
+    return turn, q if body.kind == "prismatic" else 0.0
+
+
 def _inwards(
     body: Body, f: Vector, n: Vector, turn: tuple[Any, Any], lift: Any
 ) -> tuple[Vector, Vector]:
@@ -135,7 +161,18 @@ def _inwards(
     return f, _plus(n, _cross(p, f))
 
 
-def _reading(cut: Cut, f: Vector, n: Vector) -> Vector:
+def carried_outwards(
+    body: Body, f: Vector, n: Vector, q: Any, sin_cos: Callable[[Any], tuple[Any, Any]]
+) -> tuple[Vector, Vector]:
+    """Return at `body` a force and torque given at the body before it; `q` is that of its joint."""
+    turn, lift = _placed(body, q, sin_cos)
+    R, p = body.before_H_body[:3, :3].T, -body.before_H_body[:3, 3]
+    n = _about_z(turn, _rotated(R, _plus(n, _cross(p, f))), -1.0)
+    f = _about_z(turn, _rotated(R, f), -1.0)
+    return f, [n[0] + lift * f[1], n[1] - lift * f[0], n[2]]
+
+
+def reading(cut: Cut, f: Vector, n: Vector) -> Vector:
     """Return force and torque at the measurement frame, on the side the sensor says."""
     R, p = cut.sign * cut.sensor_H_body[:3, :3], cut.sensor_H_body[:3, 3]
     f, n = _rotated(R, f), _rotated(R, n)

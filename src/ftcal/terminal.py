@@ -19,6 +19,7 @@ from ftcal.recording import Finding, Recording, Signal
 from ftcal.report.truth import Truth
 from ftcal.robot import Robot
 from ftcal.sensor import AXES
+from ftcal.timeline import Phase, schedule, to_toml
 from ftcal.validate import Score, Scores
 from ftcal.verdict import Verdict, advice, overall
 
@@ -202,3 +203,14 @@ def print_matches(console: Console, recording: Recording, robot: Robot) -> None:
         )
     console.print(lines)
     console.print()
+
+
+def print_phases(console: Console, phases: Sequence[Phase]) -> None:
+    """Print who stood when, and the contacts of a job file that follow from it."""
+    made = table("contact", "start", "stop", "feet", right=(1, 2))
+    for phase in phases:
+        span = f"{phase.start:.2f} s", f"{phase.stop:.2f} s"
+        made.add_row(phase.kind, *span, Text(", ".join(phase.feet)))
+    console.print(made)
+    console.print(Text("proposed for the recording in the job file:"))
+    console.print(Text(to_toml(schedule(phases))), soft_wrap=True)
