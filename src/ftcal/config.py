@@ -24,6 +24,7 @@ from ftcal.fit import FitOptions
 from ftcal.logs import Layout
 from ftcal.motion import STANDARD_GRAVITY
 from ftcal.pairing import SignalOptions
+from ftcal.signals import JOINT_ORDER, JOINT_WINDOW, SMOOTHING_ORDER, SMOOTHING_WINDOW
 
 Window = Annotated[tuple[float, float], Field(description="[start, stop) in seconds")]
 Six = Annotated[tuple[float, float, float, float, float, float], Field()]
@@ -158,13 +159,13 @@ def interval(start: float, stop: float, links: str | tuple[str, ...]) -> Interva
 class SignalsSection(Section):
     """Smoothing; the defaults suit walking-pace motions logged at 50 Hz or more."""
 
-    joint_window: Positive = 0.81
+    joint_window: Positive = JOINT_WINDOW
     """Savitzky-Golay window of the joint positions [s]."""
-    joint_order: Annotated[int, Field(ge=2)] = 4
+    joint_order: Annotated[int, Field(ge=2)] = JOINT_ORDER
     """Its polynomial order."""
-    smoothing: Positive = 1.01
+    smoothing: Positive = SMOOTHING_WINDOW
     """Window of the filter that channels and model wrench share [s]."""
-    smoothing_order: Annotated[int, Field(ge=0)] = 2
+    smoothing_order: Annotated[int, Field(ge=0)] = SMOOTHING_ORDER
     """Its polynomial order."""
     max_gap: Positive | None = None
     """Longest time between two samples that is not a hole [s]; default: five periods."""

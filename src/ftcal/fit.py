@@ -35,7 +35,6 @@ NOISE_ROUNDS = 4
 KAPPAS = np.geomspace(3e-4, 0.3, 31)
 """Prior strengths tried, in fractions of full scale."""
 
-
 TIE = 0.002
 """Strengths whose held-out errors differ by less (relative) are equally good."""
 
@@ -152,22 +151,20 @@ def measured_noise(cells: Sequence[Cell], problem: ScaledProblem, options: FitOp
     d = np.maximum(np.linalg.eigvalsh(problem.S_yy), 0.0)
     kappas = np.full((1, 6), WEAK_KAPPA)
     E = np.zeros((6, len(d)))
-    noise = Noise(np.sqrt(problem.squared_error(E) / count), np.ones(6))
     for _ in range(NOISE_ROUNDS):
-        noise = Noise(np.maximum(noise.sd, least), noise.inefficiency)
-        E = problem.path(kappas, noise)[0]
-        noise = Noise(np.sqrt(problem.squared_error(E) / count), noise.inefficiency)
-    gain = problem.estimate(E, np.zeros((6, len(d), len(d)))).coefficients
-    repeat = inefficiency(aligned(groups, gain))
+        sd = np.maximum(np.sqrt(problem.squared_error(E) / count), least)
+        E = problem.path(kappas, Noise(sd, np.ones(6)))[0]
+    sd = np.maximum(np.sqrt(problem.squared_error(E) / count), least)
+    repeat = inefficiency(aligned(groups, problem.coefficients(E)))
     if options.samples_per_independent is not None:
         repeat = np.full(6, options.samples_per_independent)
     if options.noise is not None:
         return Noise(np.asarray(options.noise, dtype=np.float64), repeat)
-    held = problem.penalties(kappas, Noise(np.maximum(noise.sd, least), repeat))[0]
+    held = problem.penalties(kappas, Noise(sd, repeat))[0]
     spent = (d / (d + held[:, None])).sum(axis=1) + len(groups)
     independent = count / repeat
     left = np.maximum(independent - spent, 0.1 * independent)
-    return Noise(np.maximum(noise.sd * np.sqrt(independent / left), least), repeat)
+    return Noise(sd * np.sqrt(independent / left), repeat)
 
 
 def choose_kappa(

@@ -71,6 +71,10 @@ class FixedContact:
     gravity: tuple[float, float, float] = STANDARD_GRAVITY
     """Gravity acceleration [m/s^2] expressed in that frame: the default is a level sole."""
 
+    def rows(self, where: slice | Array) -> FixedContact:
+        """Return the contact during the samples that `where` selects: it stands still always."""
+        return self
+
 
 @dataclass(frozen=True, slots=True)
 class MovingContact:
@@ -86,6 +90,16 @@ class MovingContact:
     """Classical (not spatial) acceleration of the frame's origin without gravity [m/s^2]."""
     angular_acceleration: Float[Array, "N 3"]
     """rad/s^2."""
+
+    def rows(self, where: slice | Array) -> MovingContact:
+        """Return the samples that `where` selects."""
+        return MovingContact(
+            self.link,
+            self.gravity[where],
+            self.angular_velocity[where],
+            self.linear_acceleration[where],
+            self.angular_acceleration[where],
+        )
 
     def proper_acceleration(self) -> Float[Array, "N 3"]:
         """Return what an accelerometer at the frame's origin reads [m/s^2]."""

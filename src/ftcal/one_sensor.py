@@ -224,9 +224,8 @@ def validate_by_folds(
     pieces: list[HeldOut] = []
     for fold in folds:
         steps.begin("validating on blocks it never saw")
-        inner = replace(options, folds=max(2, min(options.folds, len(fold.train) // 2)))
         try:
-            estimate = fit(fold.train, workbench, inner, pool).estimate
+            estimate = fit(fold.train, workbench, options, pool).estimate
         except DataError:
             return None
         for group in by_segment(fold.held):

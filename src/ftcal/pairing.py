@@ -162,7 +162,7 @@ def pair(
         if not rows.any():
             continue
         moved = replace(motion.rows(rows), time=seconds[rows])
-        here = contact_rows(contact, rows)
+        here = contact.rows(rows)
         wrench[rows] = expected_wrenches(robot, moved, here, [channel.sensor])[channel.sensor]
         if with_attitude:
             attitude[rows, :3] = gravity_in_sensor(robot, moved, here, channel.sensor)
@@ -240,19 +240,6 @@ def contact_motion(
         angular_acceleration=readings.velocity[:, 3:],
     )
     return contact, valid
-
-
-def contact_rows(contact: Contact, rows: Bool[Array, "N"]) -> Contact:
-    """Return the contact's motion on the rows that are kept."""
-    if isinstance(contact, FixedContact):
-        return contact
-    return MovingContact(
-        contact.link,
-        contact.gravity[rows],
-        contact.angular_velocity[rows],
-        contact.linear_acceleration[rows],
-        contact.angular_acceleration[rows],
-    )
 
 
 def apart(windows: Windows, others: Windows, distance: float) -> list[tuple[float, float]]:

@@ -118,8 +118,8 @@ def penalty_path(
         k = None
         if has_temperature:
             own = full[channels, channels]
-            k = (full[-6:, channels] - gain @ full[:channels, channels]) / own if own > 0 else None
-            k = np.zeros(6) if k is None else k
+            left = full[-6:, channels] - gain @ full[:channels, channels]
+            k = left / own if own > 0 else np.zeros(6)
         residual = full_residual(full, gain, k)
         inverse = np.linalg.pinv(S_rr + mu[0] * np.eye(channels), hermitian=True)
         sandwich = inverse @ S_rr @ inverse
@@ -139,6 +139,27 @@ def full_residual(
     return np.asarray(B @ scatter @ B.T)
 
 
+def scaling_map(workbench: Workbench, inputs: int) -> Float[Array, "D D"]:
+    """Return the matrix that takes a row `[r, dT?, w]` to `[y, z]` of `ScaledProblem`.
+
+    `inputs` counts the columns before the wrench: K channels, or K + 1 with a temperature. Raises
+    `DataError` where they are not those of the Workbench.
+    """
+    channels = workbench.gain.shape[1]
+    if inputs not in (channels, channels + 1):
+        raise DataError(
+            f"samples have {inputs} columns beside the wrench, Workbench"
+            f" {workbench.name!r} has {channels} channels"
+        )
+    to_yz = np.zeros((inputs + 6, inputs + 6))
+    to_yz[:channels, :channels] = workbench.scaling
+    if inputs > channels:
+        to_yz[channels, channels] = 1.0 / TEMPERATURE_SPAN
+    to_yz[inputs:, :channels] = -workbench.gain / workbench.full_scale[:, None]
+    to_yz[inputs:, inputs:] = np.diag(1.0 / workbench.full_scale)
+    return to_yz
+
+
 @dataclass(frozen=True, slots=True)
 class ScaledProblem:
     """The regression in the coordinates where the prior is one number: `z = E y + noise`."""
@@ -153,21 +174,8 @@ class ScaledProblem:
     def of(moments: Moments, workbench: Workbench) -> ScaledProblem:
         """Return the problem of (centred, or pooled) moments of `[r, dT?, w]`."""
         inputs = len(moments.mean) - 6
-        channels = workbench.gain.shape[1]
-        if inputs not in (channels, channels + 1):
-            raise DataError(
-                f"samples have {inputs} columns beside the wrench, Workbench"
-                f" {workbench.name!r} has {channels} channels"
-            )
-        basis = np.zeros((inputs, inputs))
-        basis[:channels, :channels] = workbench.scaling
-        if inputs > channels:
-            basis[-1, -1] = 1.0 / TEMPERATURE_SPAN
-        to_yz = np.zeros((inputs + 6, inputs + 6))
-        to_yz[:inputs, :inputs] = basis
-        to_yz[inputs:, :channels] = -workbench.gain / workbench.full_scale[:, None]
-        to_yz[inputs:, inputs:] = np.diag(1.0 / workbench.full_scale)
-        return ScaledProblem(moments.map(to_yz), basis, workbench)
+        to_yz = scaling_map(workbench, inputs)
+        return ScaledProblem(moments.map(to_yz), to_yz[:inputs, :inputs], workbench)
 
     @property
     def S_yy(self) -> Float[Array, "P P"]:
@@ -213,14 +221,21 @@ class ScaledProblem:
         scale = self.workbench.full_scale**2
         return np.asarray(np.maximum(S_zz - 2.0 * cross + own, 0.0) * scale)
 
+    def coefficients(self, E: Float[Array, "6 P"]) -> Float[Array, "6 P"]:
+        """Return `[C, k]` that E stands for."""
+        found = self.workbench.full_scale[:, None] * (E @ self.basis)
+        channels = self.workbench.gain.shape[1]
+        found[:, :channels] += self.workbench.gain
+        return np.asarray(found)
+
     def estimate(self, E: Float[Array, "6 P"], covariance: Float[Array, "6 P P"]) -> Estimate:
         """Return the estimate that E and the covariance of its rows stand for."""
         channels = self.workbench.gain.shape[1]
         scale = self.workbench.full_scale
-        coefficients = scale[:, None] * (E @ self.basis)
+        found = self.coefficients(E)
         spread = scale[:, None, None] ** 2 * (self.basis.T @ covariance @ self.basis)
-        k = coefficients[:, -1] if len(self.basis) > channels else None
-        return Estimate(self.workbench.gain + coefficients[:, :channels], k, spread)
+        k = found[:, -1] if len(self.basis) > channels else None
+        return Estimate(found[:, :channels], k, spread)
 
     def posterior(self, kappa: Float[Array, "6"], noise: Noise) -> Estimate:
         """Return the maximum a posteriori estimate and its covariance for a prior sd per row."""

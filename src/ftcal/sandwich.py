@@ -16,7 +16,7 @@ import numpy as np
 from ftcal.folds import Cell, by_segment
 from ftcal.moments import total
 from ftcal.noise import Noise
-from ftcal.ridge import Estimate, ScaledProblem
+from ftcal.ridge import Estimate, ScaledProblem, scaling_map
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -52,15 +52,14 @@ def products(
 
     y and z are taken about the mean of the segment, as the offset leaves them.
     """
-    tables = []
     n = len(problem.basis)
+    to_yz = scaling_map(problem.workbench, n)
+    to_residual = to_yz[n:] - E @ to_yz[:n]
+    tables = []
     for group in by_segment(cells):
         mean = total([cell.moments for cell in group]).mean
-        sums = []
-        for cell in group:
-            about = ScaledProblem.of(cell.moments.about(mean), problem.workbench)
-            sums.append(about.moments.scatter[n:, :n] - E @ about.moments.scatter[:n, :n])
-        tables.append(np.array(sums))
+        scatters = np.array([cell.moments.about(mean).scatter for cell in group])
+        tables.append(to_residual @ scatters @ to_yz[:n].T)
     return tables
 
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from ftcal.errors import SensorError
-from ftcal.firmware import FirmwareMatrix
+from ftcal.firmware import WORST_CONDITION, FirmwareMatrix
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -21,9 +21,6 @@ AXES = ("fx", "fy", "fz", "tx", "ty", "tz")
 """Name of each row of a wrench."""
 UNITS = ("N", "N", "N", "Nm", "Nm", "Nm")
 """Unit of each row of a wrench."""
-
-WORST_CONDITION = 1e8
-"""A Workbench matrix worse conditioned than this is no sensor (that of SN026 has 90)."""
 
 
 @dataclass(frozen=True, slots=True)
