@@ -9,7 +9,15 @@ from hypothesis import strategies as st
 
 from ftcal.excitation import Direction, Excitation
 from ftcal.sensor import AXES
-from ftcal.validate import Score, Scores, bootstrap_interval, held_out, load_envelope, score
+from ftcal.validate import (
+    Score,
+    Scores,
+    bootstrap_interval,
+    held_out,
+    load_envelope,
+    resampled,
+    score,
+)
 from ftcal.verdict import Verdict, advice, judge, overall
 from pretend import FULL_SCALE, bent, samples, workbench
 
@@ -68,7 +76,9 @@ def test_a_held_out_piece_is_aligned_to_its_own_offset() -> None:
 @settings(max_examples=20, deadline=None)
 def test_interval_covers_a_constant_ratio_exactly(blocks: int, ratio: float) -> None:
     old = np.random.default_rng(blocks).uniform(1, 2, blocks)
-    low, high = bootstrap_interval(ratio**2 * old, old, np.random.default_rng(0))
+    low, high = bootstrap_interval(
+        ratio**2 * old, old, resampled(len(old), np.random.default_rng(0))
+    )
     assert low == pytest.approx(100 * ratio)
     assert high == pytest.approx(100 * ratio)
 
@@ -78,14 +88,17 @@ def test_bootstrap_covers_the_truth_nine_times_in_ten() -> None:
     hits = 0
     for _ in range(300):
         new, old = rng.gamma(4.0, 1.0, 40), rng.gamma(4.0, 1.0, 40)
-        low, high = bootstrap_interval(new, old, rng)
+        low, high = bootstrap_interval(new, old, resampled(len(new), rng))
         hits += low <= 100.0 <= high
     # percentile intervals of 40 blocks run a little narrow; 300 trials know it within 2 %
     assert 0.84 <= hits / 300 <= 0.95
 
 
 def test_two_blocks_say_nothing() -> None:
-    assert bootstrap_interval(np.ones(2), np.ones(2), np.random.default_rng(0)) == (0.0, np.inf)
+    assert bootstrap_interval(np.ones(2), np.ones(2), resampled(2, np.random.default_rng(0))) == (
+        0.0,
+        np.inf,
+    )
 
 
 UNIT = np.ones(6)

@@ -19,7 +19,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 from pydantic_core import ErrorDetails
 
 from ftcal.contact import ContactSchedule, Interval
-from ftcal.errors import JobError, raise_all
+from ftcal.errors import JobError, raise_all, unknown
 from ftcal.fit import FitOptions
 from ftcal.logs import Layout
 from ftcal.motion import STANDARD_GRAVITY
@@ -32,6 +32,9 @@ Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Links = str | Annotated[tuple[str, ...], Field(min_length=1)]
 Three = tuple[float, float, float]
+
+PAPER_LAMBDAS = (0.0, 0.5, 1.0, 1.5, 2.0, 4.0, 6.0, 8.0, 10.0)
+"""Penalties of the paper's second validation (section IV-C), and none."""
 
 
 class Section(BaseModel):
@@ -210,6 +213,31 @@ class FitSection(Section):
         )
 
 
+class StudySection(Section):
+    """The paper's two validations: which data sets train, and which run switches contacts."""
+
+    training: tuple[str, ...] = ()
+    """Recordings to train on, one at a time; default: all but `switching`."""
+    switching: str | None = None
+    """Recording of the second validation; none: the first validation alone."""
+    align: Window | None = None
+    """Seconds of it that give each sensor its offset; default: the first interval that can."""
+    lambdas: Annotated[tuple[NotNegative, ...], Field(min_length=1)] = PAPER_LAMBDAS
+    """Penalties tried in the second validation."""
+    truth: Path | None = None
+    """`truth.json` of a simulation: the report then shows the distance to it."""
+
+    @model_validator(mode="after")
+    def _consistent(self) -> StudySection:
+        if self.align is not None and self.switching is None:
+            raise ValueError("align is a window of the switching recording; name it")
+        if self.align is not None and not self.align[1] > self.align[0]:
+            raise ValueError(f"align {list(self.align)} ends before it starts")
+        if self.switching in self.training:
+            raise ValueError(f"{self.switching!r} cannot both train and switch contacts")
+        return self
+
+
 class Job(Section):
     """A whole job file."""
 
@@ -219,6 +247,7 @@ class Job(Section):
     recordings: Annotated[tuple[RecordingSection, ...], Field(min_length=1)]
     signals: SignalsSection = SignalsSection()
     fit: FitSection = FitSection()
+    study: StudySection = StudySection()
     output: Path | None = None
     """Folder of the results; default: `ftcal-out` beside the job file."""
     file: Annotated[Path, Field(exclude=True)] = Path("job.toml")
@@ -232,6 +261,10 @@ class Job(Section):
         ):
             if twice := sorted({name for name in names if names.count(name) > 1}):
                 raise ValueError(f"{kind} {', '.join(map(repr, twice))} appears twice; give names")
+        labels = [r.label for r in self.recordings]
+        named = (*self.study.training, *filter(None, (self.study.switching,)))
+        if strangers := [unknown("recording", n, labels) for n in named if n not in labels]:
+            raise ValueError(f"study: {'; '.join(strangers)}")
         return self
 
     def path(self, path: Path) -> Path:
@@ -314,6 +347,7 @@ def keys_beside(parents: Iterable[Any]) -> list[str]:
         "contacts": ContactSection,
         "signals": SignalsSection,
         "fit": FitSection,
+        "study": StudySection,
     }
     for part in parents:
         section = sections.get(str(part), section)

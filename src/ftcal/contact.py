@@ -23,7 +23,12 @@ class Interval:
     link: str
     """Link or frame that touches the world and stands still, or whose motion is known."""
     others: tuple[str, ...] = ()
-    """Links that touch too. They must lie on the same side of a sensor as `link`."""
+    """Links that touch too. A sensor between them and `link` says nothing on its own."""
+
+    @property
+    def touching(self) -> tuple[str, ...]:
+        """All links that touch."""
+        return (self.link, *self.others)
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,8 +50,3 @@ class ContactSchedule:
             if b.start < a.stop
         ]
         raise_all(JobError, "contact schedule", faults)
-
-    @property
-    def touching(self) -> tuple[tuple[str, ...], ...]:
-        """Every set of links that touch together, once, in order of appearance."""
-        return tuple(dict.fromkeys((i.link, *i.others) for i in self.intervals))

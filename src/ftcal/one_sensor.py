@@ -84,14 +84,13 @@ def calibrate_sensor(
     offsets: list[InSituOffset] = []
     for section, recording, found in zip(job.recordings, recordings, findings, strict=True):
         steps.begin(f"pairing {channel.sensor} in {section.label}")
-        both = pair_recording(job, robot, channel, section, recording, found, reference)
+        both = pair_recording(
+            job, robot, channel, section, recording, found, reference, with_attitude=in_situ
+        )
         train, held = split(section, both, job.signals.smoothing)
         if in_situ:
             taken = [raw_offset(both, segment, channel) for segment in train]
-            fitted += [
-                replace(segment, channels=segment.channels - offset.offset)
-                for segment, offset in zip(train, taken, strict=True)
-            ]
+            fitted += [about_offset(*pair) for pair in zip(train, taken, strict=True)]
             offsets += taken
         else:
             fitted += train
@@ -149,6 +148,8 @@ def pair_recording(
     recording: Recording,
     findings: Sequence[Finding],
     reference_temperature: float,
+    *,
+    with_attitude: bool = False,
 ) -> Paired:
     """Return the usable samples of one sensor in one recording of the job."""
     return pair(
@@ -161,7 +162,7 @@ def pair_recording(
         findings=findings,
         reference_temperature=reference_temperature,
         options=job.signals.options(),
-        with_attitude=job.fit.offset == "in situ",
+        with_attitude=with_attitude,
     )
 
 
@@ -188,25 +189,29 @@ def split(
 
 
 def raw_offset(both: Paired, segment: Samples, channel: FtChannel) -> InSituOffset:
-    """Return the in situ offset of a segment.
-
-    Raises `DataError` with the figure where the assumption of a constant centre of mass fails.
-    """
+    """Return the in situ offset of a segment, which may refuse to be used."""
     if both.attitude is None:
         raise ValueError("pair the recording with its attitude")
     first, last = np.searchsorted(both.samples.time, [segment.time[0], segment.time[-1]])
     rows = slice(int(first), int(last) + 1)
-    offset = in_situ_offset(
+    return in_situ_offset(
         segment.channels,
         both.attitude.gravity[rows],
         both.attitude.centre_of_mass[rows],
         channel.workbench.scaling,
     )
+
+
+def about_offset(segment: Samples, offset: InSituOffset) -> Samples:
+    """Return a segment with its in situ offset taken off its channels.
+
+    Raises `DataError` with the figure where the assumption of a constant centre of mass fails.
+    """
     if offset.refusal:
         raise DataError(
             f'in situ offset of {segment.label} refused: {offset.refusal}; use offset = "centred"'
         )
-    return offset
+    return replace(segment, channels=segment.channels - offset.offset)
 
 
 def validate_by_folds(

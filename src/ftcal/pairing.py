@@ -118,8 +118,9 @@ def pair(
     """Return the usable samples of one sensor in one recording.
 
     `gravity` [m/s^2] is that of the contact frame while it stands still; with `imu` its motion is
-    that signal's. Raises `DataError` where a needed joint is not logged, where no sample is left,
-    or where no stretch is as long as the filter; `RobotError` for unknown names.
+    that signal's. Intervals in which both halves touch are passed over. Raises `DataError` where a
+    needed joint is not logged, where no sample is left, or where no stretch is as long as the
+    filter; `RobotError` for unknown names, or where both halves touch throughout.
     """
     options = options or SignalOptions()
     findings = tuple(findings)
@@ -141,7 +142,7 @@ def pair(
     wrench = np.full((len(signal), 6), np.nan)
     attitude = np.full((len(signal), 6), np.nan)
     stretches: list[slice] = []
-    for interval in schedule.intervals:
+    for interval in one_sided(robot, channel.sensor, schedule).intervals:
         inside = ok & (seconds >= interval.start) & (seconds < interval.stop)
         if not inside.any():
             continue
@@ -196,6 +197,22 @@ def pair(
     )
     hanging = Attitude(attitude[kept, :3], attitude[kept, 3:]) if with_attitude else None
     return Paired(samples, len(signal), hanging)
+
+
+def one_sided(robot: Robot, sensor: str, schedule: ContactSchedule) -> ContactSchedule:
+    """Return the intervals in which one half of the robot beyond `sensor` touches nothing.
+
+    Only these say anything of that sensor alone. `RobotError` says where both halves touch, if
+    there is no other interval, and names unknown links.
+    """
+    kept = tuple(
+        interval
+        for interval in schedule.intervals
+        if not all(robot.touched(sensor, interval.touching))
+    )
+    for interval in kept or schedule.intervals[:1]:
+        robot.free_half(sensor, interval.touching)
+    return ContactSchedule(kept)
 
 
 def longest(seconds: Float[Array, "N"], stretches: Iterable[slice]) -> float:

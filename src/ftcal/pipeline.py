@@ -17,7 +17,7 @@ from ftcal.errors import DataError, JobError
 from ftcal.evidence import provenance, sensor_calibration
 from ftcal.health import examine
 from ftcal.one_sensor import SensorOutcome, calibrate_sensor, pair_recording
-from ftcal.pairing import FtChannel
+from ftcal.pairing import FtChannel, one_sided
 from ftcal.progress import Progress, Steps, silent
 from ftcal.recording import Finding, Recording
 from ftcal.robot import Robot
@@ -82,12 +82,12 @@ def ft_channel(job: Job, robot: Robot, section: SensorSection) -> FtChannel:
 def check_contacts(job: Job, robot: Robot, channels: Sequence[FtChannel]) -> None:
     """Raise `RobotError` before a log is read.
 
-    Where a contact is unknown, both halves of a sensor touch, or its free half has no mass.
+    Where a contact is unknown, both halves of a sensor touch throughout, or its free half has no
+    mass.
     """
     for section in job.recordings:
-        for touching in section.schedule().touching:
-            for channel in channels:
-                robot.free_half(channel.sensor, touching)
+        for channel in channels:
+            one_sided(robot, channel.sensor, section.schedule())
 
 
 def read_recordings(

@@ -247,6 +247,17 @@ class Robot:
                 models.append(SubModel(base, links, border))
         return tuple(models)
 
+    def touched(
+        self, sensor: str, contacts: Sequence[str]
+    ) -> tuple[tuple[str, ...], tuple[str, ...]]:
+        """Return which of the `contacts` lie on the parent's side of a sensor, and on the child's.
+
+        Where both are touched, the sample says nothing of that sensor alone.
+        """
+        inside = set(_outwards([self.sensor(sensor).child], self.joints))
+        beyond = tuple(name for name in contacts if self.link(name).name in inside)
+        return tuple(name for name in contacts if name not in inside), beyond
+
     def free_half(self, sensor: str, contacts: Sequence[str]) -> Half:
         """Return the half of the robot beyond `sensor`, which holds none of the `contacts`.
 
@@ -257,8 +268,7 @@ class Robot:
         child_links = tuple(_outwards([cut.child], self.joints))
         inside = set(child_links)
         parent_links = tuple(n for n in _outwards([self.root], self.joints) if n not in inside)
-        beyond = [name for name in contacts if self.link(name).name in inside]
-        before = [name for name in contacts if name not in inside]
+        before, beyond = self.touched(sensor, contacts)
         if beyond and before:
             raise RobotError(
                 f"both halves at sensor {sensor!r} touch the world: {', '.join(before)} on the"

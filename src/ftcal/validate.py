@@ -142,18 +142,23 @@ def block_sums(
     return np.concatenate(new), np.concatenate(old)
 
 
+def resampled(blocks: int, generator: np.random.Generator) -> Float[Array, "R B"]:
+    """Return how often each block is drawn in each bootstrap resample."""
+    return generator.multinomial(blocks, np.full(blocks, 1.0 / blocks), size=RESAMPLES).astype(
+        np.float64
+    )
+
+
 def bootstrap_interval(
-    new: Float[Array, "B"], old: Float[Array, "B"], generator: np.random.Generator
+    new: Float[Array, "B"], old: Float[Array, "B"], weights: Float[Array, "R B"]
 ) -> tuple[float, float]:
     """Return the 90 % interval of `100 sqrt(sum new / sum old)` over resampled blocks.
 
     B. Efron, R. Tibshirani, *An Introduction to the Bootstrap*, 1993, section 13.3 (percentile),
     blocks as in section 8.6. Fewer than three blocks say nothing: (0, inf).
     """
-    blocks = len(new)
-    if blocks < 3:
+    if len(new) < 3:
         return (0.0, float("inf"))
-    weights = generator.multinomial(blocks, np.full(blocks, 1.0 / blocks), size=RESAMPLES)
     ratio = np.sqrt((weights @ new) / np.maximum(weights @ old, np.finfo(float).tiny))
     low, high = np.quantile(ratio, [0.05, 0.95])
     return (100.0 * float(low), 100.0 * float(high))
@@ -185,6 +190,7 @@ def score(
     model = np.concatenate([piece.model for piece in pieces])
     readings = [(piece.in_situ, piece.workbench, piece.model) for piece in pieces]
     table = {}
+    weights = resampled(len(new), np.random.default_rng(seed))
     for name, columns in GROUPS.items():
         squares = new[:, columns].sum(axis=1), old[:, columns].sum(axis=1)
         rms, workbench_rms = (float(np.sqrt(s.sum() / len(model))) for s in squares)
@@ -206,7 +212,7 @@ def score(
             rms,
             workbench_rms,
             percentage(rms, workbench_rms),
-            bootstrap_interval(*squares, np.random.default_rng(seed)),
+            bootstrap_interval(*squares, weights),
             percentage(*absolute),
             float(np.sqrt(spread[0] / spread[1])) if spread[1] > 0 else float("inf"),
             (low, high),
