@@ -14,6 +14,7 @@ from ftcal.motion import FixedContact
 from ftcal.motions import extended_balancing, grid
 from ftcal.one_sensor import SensorOutcome
 from ftcal.pipeline import calibrate
+from ftcal.support import standing_on
 from ftcal.synthetic import Conditions, Session, Take, simulate, write_session
 from ftcal.urdf import read_robot
 
@@ -26,13 +27,12 @@ def session(kind: str, *, conditions: Conditions | None = None, seed: int = 0) -
     if kind == "grid":
         # nothing beyond the sensor moves: the centre of mass of the leg stands still in its frame
         motion = grid(robot, ["r_hip_pitch", "r_hip_roll"], points=(5, 5), duration=80.0)
-        take = Take("grid", motion, FixedContact("root_link"))
+        take = Take("grid", motion, standing_on(FixedContact("root_link")))
     else:
         wide = extended_balancing(robot, LEG, generator=generator, support=SUPPORT, duration=60.0)
-        take = Take("balancing", wide, FixedContact("l_sole"))
-    return simulate(
-        robot, [take], sensor=SENSOR, signal=SIGNAL, generator=generator, conditions=conditions
-    )
+        take = Take("balancing", wide, standing_on(FixedContact("l_sole")))
+    sensors = {SENSOR: SIGNAL}
+    return simulate(robot, [take], sensors=sensors, generator=generator, conditions=conditions)
 
 
 def run(made: Session, folder: Path, **fit: object) -> SensorOutcome:
@@ -44,23 +44,25 @@ def run(made: Session, folder: Path, **fit: object) -> SensorOutcome:
 
 def test_a_sensor_that_warms_up_is_told_from_one_that_is_loaded(tmp_path: Path) -> None:
     made = session("balancing", conditions=Conditions(warming=8.0))
+    truth = made.truth[SENSOR]
     found = run(made, tmp_path)
-    assert made.truth.temperature_gain is not None
+    assert truth.temperature_gain is not None
     assert found.fit.estimate.temperature_gain is not None
-    error = found.fit.estimate.temperature_gain - made.truth.temperature_gain
+    error = found.fit.estimate.temperature_gain - truth.temperature_gain
     # 6 entries within 4 of their standard errors: chance misses one in ten thousand
     assert (np.abs(error) < 4.0 * found.fit.estimate.standard_error[:, -1]).all()
-    assert np.abs(made.truth.temperature_gain).max() > 0.01
+    assert np.abs(truth.temperature_gain).max() > 0.01
 
 
 def test_in_situ_offset_is_the_true_one_where_the_centre_of_mass_stands_still(
     tmp_path: Path,
 ) -> None:
     made = session("grid")
+    truth = made.truth[SENSOR]
     found = run(made, tmp_path, offset="in situ")
     (offset,) = found.in_situ
-    true = np.linalg.solve(made.truth.gain, -made.truth.offsets["grid"])
-    wrench = made.truth.gain @ (offset.offset - true)
+    true = np.linalg.solve(truth.gain, -truth.offsets["grid"])
+    wrench = truth.gain @ (offset.offset - true)
     # an encoder step of 1.5 mrad turns 45 N by 0.07 N; offsets ride on hundreds of N
     np.testing.assert_allclose(wrench[:3], 0.0, atol=1.0)
     np.testing.assert_allclose(wrench[3:], 0.0, atol=0.2)

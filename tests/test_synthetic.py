@@ -20,8 +20,10 @@ from ftcal.motion import FixedContact, Motion
 from ftcal.motions import MinimumJerk, Pace, balancing, extended_balancing, grid
 from ftcal.robot import Robot
 from ftcal.sensor import SensorModel
+from ftcal.support import standing_on
 from ftcal.synthetic import (
     Conditions,
+    SensorTruth,
     Session,
     Take,
     invent_firmware,
@@ -37,7 +39,8 @@ from small_world import robot_text
 IDEAL = Conditions(noise=0.0, digital=False, encoder=0.0, flicker=0.0)
 """A session that is the law and nothing else."""
 
-POLE = FixedContact("base")
+POLE = standing_on(FixedContact("base"))
+FT = {"ft_sensor": "ft"}
 MASS = 1.0
 """Of each moving link [kg]: an arm light enough for a sensor of an iCub's size."""
 
@@ -215,9 +218,7 @@ def arm_takes(seed: int) -> list[Take]:
 
 def arm_session(seed: int = 1, conditions: Conditions | None = None) -> Session:
     rng = np.random.default_rng(seed)
-    return simulate(
-        arm(), arm_takes(seed), sensor="ft_sensor", generator=rng, conditions=conditions
-    )
+    return simulate(arm(), arm_takes(seed), sensors=FT, generator=rng, conditions=conditions)
 
 
 @functools.cache
@@ -231,17 +232,24 @@ def icub_session(seed: int, conditions: Conditions | None = None) -> Session:
 def residual(session: Session, number: int) -> np.ndarray:
     """Return `C r + o + k (T - T_ref) - w` of a recording, w by the motion that was simulated."""
     take, recording = session.takes[number], session.recordings[number]
+    ((name, truth),) = session.truth.items()
     signal = recording.channels[0]
     time = recording.seconds(signal)
     motion = take.trajectory.at(time)
-    wrench = expected_wrenches(session.robot, motion, take.contact, [session.sensor])
-    counts = session.truth.firmware.counts(signal.values)
+    (frame,) = take.support.frames
+    wrench = expected_wrenches(session.robot, motion, FixedContact(frame), [name])
+    counts = truth.firmware.counts(signal.values)
     temperature = None
     if recording.temperatures:
         warm = recording.temperatures[0]
         temperature = np.interp(time, recording.seconds(warm), warm.values[:, 0])
-    said = session.truth.model(recording.name).wrench(counts, temperature)
-    return np.asarray(said - wrench[session.sensor])
+    said = truth.model(recording.name).wrench(counts, temperature)
+    return np.asarray(said - wrench[name])
+
+
+def only_truth(session: Session) -> SensorTruth:
+    (truth,) = session.truth.values()
+    return truth
 
 
 @pytest.mark.parametrize("warming", [0.0, 3.0])
@@ -254,14 +262,14 @@ def test_ideal_session_obeys_the_law(warming: float) -> None:
 
 def test_ideal_icub_obeys_the_law_on_pole_and_sole() -> None:
     session = icub_session(0, IDEAL)
-    assert [take.contact.link for take in session.takes[:2]] == ["root_link", "l_sole"]
+    assert [take.support.frames for take in session.takes[:2]] == [("root_link",), ("l_sole",)]
     for number in range(2):
         np.testing.assert_allclose(residual(session, number), 0.0, atol=1e-9)
 
 
 def test_noise_is_as_large_as_asked() -> None:
     session = arm_session(conditions=dataclasses.replace(IDEAL, noise=5.0))
-    noise = np.linalg.solve(session.truth.gain, residual(session, 0).T)
+    noise = np.linalg.solve(only_truth(session).gain, residual(session, 0).T)
     # 6 x 2500 samples: a standard deviation known to 1 %
     assert noise.std() == pytest.approx(5.0, rel=0.05)
 
@@ -269,7 +277,7 @@ def test_noise_is_as_large_as_asked() -> None:
 def test_digital_readings_are_steps_of_full_scale_and_encoders_have_twelve_bits() -> None:
     session = arm_session()
     recording = session.recordings[0]
-    sent = recording.channels[0].values / (session.truth.firmware.full_scale / 32768)
+    sent = recording.channels[0].values / (only_truth(session).firmware.full_scale / 32768)
     np.testing.assert_allclose(sent, np.rint(sent), atol=1e-6)
     turned = recording.joints[0].values / (2 * np.pi / 4096)
     np.testing.assert_allclose(turned, np.rint(turned), atol=1e-9)
@@ -293,18 +301,18 @@ def test_every_signal_has_a_clock_of_its_own() -> None:
 
 
 def test_every_recording_has_an_offset_of_its_own() -> None:
-    first, second = arm_session().truth.offsets.values()
+    first, second = only_truth(arm_session()).offsets.values()
     assert np.abs(first - second).min() > 0.01
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_demo_never_saturates_and_the_data_doctor_finds_nothing_to_cut(seed: int) -> None:
     session = icub_session(seed)
-    firmware = session.truth.firmware
+    firmware = only_truth(session).firmware
     for recording in session.recordings:
         counts = firmware.counts(recording.channels[0].values)
         assert np.abs(counts).max() < CEILING
-        found = examine(recording, sensors={session.signal: firmware})
+        found = examine(recording, sensors={"right_leg/analog:o": firmware})
         assert not [finding for finding in found if finding.cut]
         assert [finding.kind for finding in found] == ["serial"]
 
@@ -313,7 +321,7 @@ def test_sensor_too_weak_for_the_robot_is_refused() -> None:
     rng = np.random.default_rng(0)
     weak = invent_firmware(rng, full_scale=[100, 100, 100, 5, 5, 5])
     with pytest.raises(DataError, match=r"'SN900' saturates: .* larger full scale"):
-        simulate(arm(), arm_takes(0), sensor="ft", generator=rng, firmware=weak)
+        simulate(arm(), arm_takes(0), sensors=FT, generator=rng, firmware={"ft": weak})
 
 
 @given(seed=st.integers(0, 2**32))
@@ -389,20 +397,20 @@ def test_job_names_everything_beside_it(tmp_path: Path) -> None:
     assert sensor.name == "ft_sensor"
     assert sensor.workbench is not None
     workbench = read_workbench(job.path(sensor.workbench), logged=sensor.logged)
-    np.testing.assert_array_equal(workbench.gain, session.truth.firmware.matrix)
+    np.testing.assert_array_equal(workbench.gain, only_truth(session).firmware.matrix)
     first, held = job.recordings
     assert first.train is None
     assert held.train == ()
     assert held.test[0][1] > session.recordings[1].duration
     assert first.contact == held.contact == "base"
-    np.testing.assert_array_equal(read_truth(job.file)["ft_sensor"], session.truth.gain)
+    np.testing.assert_array_equal(read_truth(job.file)["ft_sensor"], only_truth(session).gain)
 
 
 def test_tilted_contact_tells_the_job_its_gravity(tmp_path: Path) -> None:
-    tilted = FixedContact("base", (0.0, 9.80665, 0.0))
-    take = dataclasses.replace(arm_takes(0)[0], contact=tilted)
+    tilted = standing_on(FixedContact("base", (0.0, 9.80665, 0.0)))
+    take = dataclasses.replace(arm_takes(0)[0], support=tilted)
     rng = np.random.default_rng(0)
-    session = simulate(arm(), [take], sensor="ft_sensor", generator=rng)
+    session = simulate(arm(), [take], sensors=FT, generator=rng)
     job = read_job(written(tmp_path / "session", session))
     assert job.recordings[0].gravity == tilted.gravity
 
@@ -423,7 +431,7 @@ def test_session_replaces_a_session_but_nothing_else(tmp_path: Path) -> None:
     folder = tmp_path / "session"
     written(folder, arm_session(1))
     job = written(folder, arm_session(2))
-    np.testing.assert_array_equal(read_truth(job)["ft_sensor"], arm_session(2).truth.gain)
+    np.testing.assert_array_equal(read_truth(job)["ft_sensor"], only_truth(arm_session(2)).gain)
     assert sorted(p.name for p in tmp_path.iterdir()) == ["arm.urdf", "session"]
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "thesis.tex").touch()
@@ -460,17 +468,16 @@ def test_truth_that_is_none_is_refused(tmp_path: Path) -> None:
 def test_takes_need_names_of_their_own(names: list[str], words: str) -> None:
     takes = [dataclasses.replace(arm_takes(0)[0], name=name) for name in names]
     with pytest.raises(DataError, match=words):
-        simulate(arm(), takes, sensor="ft", generator=np.random.default_rng(0))
+        simulate(arm(), takes, sensors=FT, generator=np.random.default_rng(0))
 
 
 def test_signal_becomes_a_port() -> None:
     rng = np.random.default_rng(0)
     take = arm_takes(0)[:1]
-    assert (
-        simulate(arm(), take, sensor="ft", generator=rng, signal="hand").signal == "hand/analog:o"
-    )
+    session = simulate(arm(), take, sensors={"ft": "hand"}, generator=rng)
+    assert session.sensors == {"ft_sensor": "hand/analog:o"}
     with pytest.raises(DataError, match=r"'\.\./hand' is no port"):
-        simulate(arm(), take, sensor="ft", generator=rng, signal="../hand")
+        simulate(arm(), take, sensors={"ft": "../hand"}, generator=rng)
 
 
 def test_conditions_must_make_sense() -> None:
@@ -491,7 +498,7 @@ def test_a_users_own_trajectory_will_do() -> None:
     session = simulate(
         arm(),
         [Take("swing", Swing(), POLE)],
-        sensor="ft_sensor",
+        sensors=FT,
         generator=np.random.default_rng(0),
         conditions=IDEAL,
     )
@@ -511,9 +518,9 @@ def test_icub_logs_its_parts_in_the_order_of_its_boards() -> None:
 
 def test_model_of_the_truth_is_the_law() -> None:
     session = arm_session()
-    model = session.truth.model("wide")
+    model = only_truth(session).model("wide")
     assert isinstance(model, SensorModel)
     np.testing.assert_array_equal(
-        model.gain, session.truth.secondary @ session.truth.firmware.matrix
+        model.gain, only_truth(session).secondary @ only_truth(session).firmware.matrix
     )
     assert model.temperature_gain is None

@@ -8,12 +8,12 @@ The sensors cut the robot into sub-models. For one that touches nothing, every s
 reading of sensor s to the frame of the sub-model, with the sign of the side that it acts on. What
 is left over is the external wrench of the paper's second validation, which should be zero.
 
-Readings here are not smoothed: they are what a controller sees. Sensors log on clocks of their own;
-a recording is balanced on that of the first.
+Sensors log on clocks of their own; a recording is balanced on that of the first.
 """
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
@@ -28,11 +28,11 @@ from ftcal.motion import Contact, Motion
 from ftcal.pairing import FtChannel, SignalOptions, contact_motion
 from ftcal.recording import Finding, Recording
 from ftcal.robot import Robot, SubModel
-from ftcal.signals import interpolate, joint_motion, usable
+from ftcal.signals import interpolate, joint_motion, odd_window, smooth_runs, usable
 from ftcal.spatial import wrench_transform
 
 if TYPE_CHECKING:
-    from jaxtyping import Float, Int
+    from jaxtyping import Bool, Float, Int
     from numpy import ndarray as Array
 
 
@@ -50,6 +50,30 @@ class Balance:
     """X of each: from the sensor's frame to the sub-model's, the sign of its side included."""
     required: Float[Array, "N 6"]
     """h: what the readings must add up to [N, Nm]."""
+    by_mass: bool = False
+    """Whether joints inside it are not logged: the three rows of the forces alone hold, as long as
+    nothing beyond those joints is thrown about."""
+
+    @property
+    def equations(self) -> int:
+        """Rows of (B) that hold: six, or the three of the forces."""
+        return 3 if self.by_mass else 6
+
+    def rows(
+        self,
+        where: Bool[Array, "N"] | slice,
+        inputs: Mapping[str, Float[Array, "N P"]] | None = None,
+        required: Float[Array, "N 6"] | None = None,
+    ) -> Balance:
+        """Return the samples that `where` selects; `inputs` and h may be others."""
+        return Balance(
+            self.sub_model,
+            self.time[where],
+            {name: values[where] for name, values in (inputs or self.inputs).items()},
+            {name: X[where] for name, X in self.transforms.items()},
+            (self.required if required is None else required)[where],
+            self.by_mass,
+        )
 
     def residual(self, readings: Mapping[str, Float[Array, "N 6"]]) -> Float[Array, "N 6"]:
         """Return what the wrenches that the sensors read [N, Nm] add up to, less h.
@@ -74,6 +98,30 @@ class Balance:
         return np.asarray(np.linalg.solve(self.transforms[sensor], missing[..., None])[..., 0])
 
 
+def smoothed(balance: Balance, options: SignalOptions) -> Balance | None:
+    """Return a balance whose channels and h have passed the filter that `pairing` uses.
+
+    The transforms stay: motion is slower than what the filter takes away, the noise of the channels
+    that would bias a fit. None where no stretch is as long as the filter.
+    """
+    step = np.diff(balance.time)
+    if not len(step):
+        return None
+    period = float(np.median(step))
+    pause = max(0.05, 5.0 * period) if options.max_gap is None else options.max_gap
+    edges = [0, *(np.flatnonzero(step > pause) + 1).tolist(), len(balance.time)]
+    stretches = [slice(a, b) for a, b in itertools.pairwise(edges)]
+    window = odd_window(options.smoothing, period)
+
+    def smooth(values: Float[Array, "N K"]) -> Float[Array, "N K"]:
+        return smooth_runs(values, stretches, window, options.smoothing_order)
+
+    inputs = {name: smooth(values) for name, values in balance.inputs.items()}
+    required = smooth(balance.required)
+    kept = np.isfinite(required).all(axis=1)
+    return balance.rows(kept, inputs, required) if kept.any() else None
+
+
 def free_sub_models(
     robot: Robot, sensors: Sequence[str], touching: Sequence[str]
 ) -> tuple[SubModel, ...]:
@@ -96,12 +144,14 @@ def balances(
     imu: str | None = None,
     findings: Iterable[Finding] = (),
     options: SignalOptions | None = None,
+    by_mass: bool = False,
 ) -> tuple[Balance, ...]:
     """Return the balance of every sub-model that is free in some interval of the schedule.
 
-    `channels` cut the robot; a sample needs every sensor on its border to be usable, and sub-models
-    with joints that are not logged are left out. Raises `DataError` where none is left,
-    `RobotError` for unknown names.
+    `channels` cut the robot; a sample needs every sensor on its border to be usable. Sub-models with
+    joints that are not logged are left out, or enter `by_mass` with those joints at zero, where the
+    way from the contact to their sensors is logged. Readings are what a controller sees; a fit
+    takes them `smoothed`. Raises `DataError` where none is left, `RobotError` for unknown names.
     """
     options = options or SignalOptions()
     findings = tuple(findings)
@@ -132,7 +182,9 @@ def balances(
             continue
         here = replace(motion.rows(rows), time=seconds[rows])
         inside = {name: values[rows] for name, values in raw.items()}
-        for part in _in_interval(robot, here, contact.rows(rows), inside, interval.touching):
+        for part in _in_interval(
+            robot, here, contact.rows(rows), inside, interval.touching, by_mass
+        ):
             parts.setdefault(part.sub_model, []).append(part)
     if not parts:
         raise DataError(
@@ -165,6 +217,7 @@ def _in_interval(
     contact: Contact,
     inputs: Mapping[str, Float[Array, "N P"]],
     touching: Sequence[str],
+    by_mass: bool,
 ) -> list[Balance]:
     """Return the balances of one interval, each without the samples that it lacks a sensor for."""
     sensors = list(inputs)
@@ -172,9 +225,14 @@ def _in_interval(
     silent = {name: np.zeros((len(motion), 6)) for name in sensors}
     # readings of zero leave what they should have been
     needed = external_wrenches(robot, motion, contact, silent)
+    wrench = dict(needed.wrench)
+    if by_mass and needed.left_out:
+        stiff = robot.stiffened(name for names in needed.left_out.values() for name in names)
+        frames = {name: name for name in needed.left_out}
+        wrench |= external_wrenches(stiff, motion, contact, silent, frames).wrench
     found = []
     for model in free:
-        if model.name in needed.left_out:
+        if model.name not in wrench or not _reachable(robot, model, motion, contact):
             continue
         border = {name: inputs[name] for name in model.sensors}
         whole = np.all([np.isfinite(values).all(axis=1) for values in border.values()], axis=0)
@@ -187,10 +245,18 @@ def _in_interval(
                 moved.time,
                 {name: values[whole] for name, values in border.items()},
                 {name: _transform(robot, moved, model, name) for name in border},
-                needed.wrench[model.name][whole],
+                wrench[model.name][whole],
+                model.name in needed.left_out,
             )
         )
     return found
+
+
+def _reachable(robot: Robot, model: SubModel, motion: Motion, contact: Contact) -> bool:
+    """Return whether the joints from the contact to the sub-model and its sensors are logged."""
+    ends = [contact.link, *(robot.sensor(name).child for name in model.sensors)]
+    ways = {j.name for end in ends for j in robot.path(model.name, end) if j.kind != "fixed"}
+    return ways <= set(motion.joints)
 
 
 def _transform(robot: Robot, motion: Motion, model: SubModel, sensor: str) -> Float[Array, "N 6 6"]:
@@ -210,4 +276,5 @@ def _joined(parts: Sequence[Balance]) -> Balance:
         {name: np.concatenate([part.inputs[name] for part in parts]) for name in sensors},
         {name: np.concatenate([part.transforms[name] for part in parts]) for name in sensors},
         np.concatenate([part.required for part in parts]),
+        parts[0].by_mass,
     )

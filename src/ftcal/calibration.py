@@ -78,9 +78,9 @@ class Prior(Record):
     """Largest wrench per axis [N, Nm]."""
     form: Literal["kappa", "lambda"]
     """Scaled prior of secondary-matrix entries, or the paper's penalty."""
-    strength: float
-    """kappa (fraction of full scale), or lambda."""
-    chosen_by: Literal["job", "blocked cross-validation"]
+    strength: float | Row
+    """kappa (fraction of full scale), or lambda; six where axes differ."""
+    chosen_by: Literal["job", "blocked cross-validation", "second validation"]
 
 
 class AxisVerdict(Record):

@@ -10,7 +10,7 @@ import difflib
 import hashlib
 import itertools
 import tomllib
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -282,12 +282,7 @@ def read_job(path: Path) -> Job:
 
     Raises `JobError`, one line that names every fault with the near key where one is misspelt.
     """
-    try:
-        table = tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise JobError(f"{path}: cannot be read ({error.strerror})") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise JobError(f"{path}: not TOML: {error}") from error
+    table = read_toml(path)
     if "file" in table:
         raise JobError(f"{path}: unknown key 'file'")
     try:
@@ -297,11 +292,27 @@ def read_job(path: Path) -> Job:
         raise
 
 
-def in_words(errors: Iterable[ErrorDetails], table: Mapping[str, Any]) -> list[str]:
+def read_toml(path: Path) -> dict[str, Any]:
+    """Return the tables of a TOML file; `JobError` where it is none."""
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise JobError(f"{path}: cannot be read ({error.strerror})") from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise JobError(f"{path}: not TOML: {error}") from error
+
+
+def in_words(
+    errors: Iterable[ErrorDetails],
+    table: Mapping[str, Any],
+    keys_at: Callable[[Iterable[Any]], list[str]] | None = None,
+) -> list[str]:
     """Return what pydantic found as phrases with the key, the value and a remedy.
 
-    A value that fits none of several types is one fault, not one a type.
+    A value that fits none of several types is one fault, not one a type. `keys_at` tells the keys
+    that the section at some place of the file knows (default: of a job file).
     """
+    keys_at = keys_at or keys_beside
     alternatives: dict[str, list[str]] = {}
     for error in errors:
         *parents, key = where = place(error, table)
@@ -309,7 +320,7 @@ def in_words(errors: Iterable[ErrorDetails], table: Mapping[str, Any]) -> list[s
         message = str(error["msg"]).removeprefix("Value error, ")
         match error["type"]:
             case "extra_forbidden":
-                near = difflib.get_close_matches(str(key), keys_beside(parents), n=1, cutoff=0.5)
+                near = difflib.get_close_matches(str(key), keys_at(parents), n=1, cutoff=0.5)
                 hint = f"; did you mean {near[0]!r}?" if near else ""
                 alternatives[f"unknown key {name!r}{hint}"] = []
             case "missing":
@@ -328,12 +339,13 @@ def place(error: ErrorDetails, table: Mapping[str, Any]) -> list[str | int]:
     """Return the keys that lead to a fault, without pydantic's names of types tried."""
     node: Any = table
     keys: list[str | int] = []
-    for part in error["loc"]:
+    last = len(error["loc"]) - 1
+    for depth, part in enumerate(error["loc"]):
         node = dict(enumerate(node)) if isinstance(node, list) else node
         inside = isinstance(node, dict) and part in node
         if inside:
             node = node[part]
-        if inside or error["type"] == "missing":
+        if inside or (error["type"] == "missing" and depth == last):
             keys.append(part)
     return keys or [""]
 

@@ -10,10 +10,11 @@ from pathlib import Path
 
 import numpy as np
 
-from ftcal.errors import RobotError
+from ftcal.errors import RobotError, unknown
 from ftcal.motion import FixedContact
 from ftcal.motions import balancing, extended_balancing, grid
 from ftcal.robot import Robot
+from ftcal.support import standing_on
 from ftcal.synthetic import Conditions, Session, Take, simulate, write_session
 from ftcal.urdf import read_robot
 
@@ -28,22 +29,25 @@ LEG = (*HIP, "r_knee", "r_ankle_pitch", "r_ankle_roll")
 SUPPORT = ("l_hip_pitch", "l_hip_roll", "l_knee", "l_ankle_pitch", "l_ankle_roll")
 
 
-def icub_path() -> Path:
-    """Return the URDF of the demo's robot; `RobotError` says how to get it."""
+def icub_path(model: str = MODEL) -> Path:
+    """Return the URDF of a robot of `icub-models`; `RobotError` says how to get it."""
     try:
         import icub_models
     except ImportError as error:
         raise RobotError(
-            "the demo's robot is in the package icub-models: pip install 'ftcal[demo]'"
+            f"robot {model!r} is in the package icub-models: pip install 'ftcal[demo]'"
         ) from error
-    return Path(icub_models.get_model_file(MODEL))
+    known = icub_models.get_robot_names()
+    if model not in known:
+        raise RobotError(unknown("model", model, known))
+    return Path(icub_models.get_model_file(model))
 
 
 def demo_session(
     robot: Robot, generator: np.random.Generator, conditions: Conditions | None = None
 ) -> Session:
     """Return grid, balancing and extended balancing of the right leg, logged with one sensor."""
-    pole, sole = FixedContact("root_link"), FixedContact("l_sole")
+    pole, sole = (standing_on(FixedContact(name)) for name in ("root_link", "l_sole"))
     wide, wider = (
         extended_balancing(robot, LEG, generator=generator, support=SUPPORT) for _ in range(2)
     )
@@ -56,8 +60,7 @@ def demo_session(
     return simulate(
         robot,
         takes,
-        sensor=SENSOR,
-        signal=SIGNAL,
+        sensors={SENSOR: SIGNAL},
         generator=generator,
         conditions=conditions,
     )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import platform
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from datetime import UTC, datetime
 
 import numpy as np
@@ -23,8 +23,9 @@ from ftcal.config import Job
 from ftcal.fit import segment_offsets
 from ftcal.folds import cells
 from ftcal.one_sensor import SensorOutcome
-from ftcal.recording import Recording
-from ftcal.robot import Robot
+from ftcal.recording import Finding
+from ftcal.robot import FtSensor, Robot
+from ftcal.verdict import Verdict
 
 
 def sensor_calibration(job: Job, outcome: SensorOutcome) -> SensorCalibration:
@@ -33,7 +34,6 @@ def sensor_calibration(job: Job, outcome: SensorOutcome) -> SensorCalibration:
     workbench = channel.workbench
     secondary = workbench.secondary(outcome.estimate.gain)
     k = outcome.estimate.temperature_gain
-    frames = {"child": ft.child, "parent": ft.parent, "sensor": f"{ft.name} (origin)"}
     strength = found.penalty if found.kappa is None else float(found.kappa[0])
     tiles = cells((*outcome.training, *outcome.test), job.signals.smoothing)
     return SensorCalibration(
@@ -41,8 +41,8 @@ def sensor_calibration(job: Job, outcome: SensorOutcome) -> SensorCalibration:
         signal=channel.signal,
         temperature_signal=channel.temperature,
         logged=workbench.logged,
-        frame=frames[ft.frame],
-        acts_on=ft.parent if ft.acts_on == "parent" else ft.child,
+        frame=frame_name(ft),
+        acts_on=acted_link(ft),
         gain=outcome.estimate.gain.tolist(),
         fitted_gain=found.estimate.gain.tolist(),
         secondary=None if secondary is None else secondary.tolist(),
@@ -70,26 +70,13 @@ def sensor_calibration(job: Job, outcome: SensorOutcome) -> SensorCalibration:
             strength=float(strength or 0.0),
             chosen_by="job" if found.choice is None else "blocked cross-validation",
         ),
-        verdicts=[
-            AxisVerdict(axis=v.axis, verdict=v.word, reason=v.reason) for v in outcome.verdicts
-        ],
-        health=[
-            HealthFinding(
-                recording=recording,
-                kind=f.kind,
-                signal=f.signal,
-                start=f.start,
-                stop=f.stop,
-                cut=f.cut,
-                message=f.message,
-            )
-            for recording, f in outcome.findings
-        ],
+        verdicts=verdict_records(outcome.verdicts),
+        health=health_findings(outcome.findings),
     )
 
 
-def provenance(job: Job, robot: Robot, recordings: Sequence[Recording]) -> Provenance:
-    """Return what went in and what computed."""
+def provenance(job: Job, robot: Robot, digests: Sequence[str]) -> Provenance:
+    """Return what went in and what computed; `digests` are those of the recordings, in order."""
     inputs = [Input(role="job", path=job.file.name, sha256=job.digest)]
     inputs.append(Input(role="robot", path=str(job.robot), sha256=robot.digest))
     for sensor in job.sensors:
@@ -97,8 +84,8 @@ def provenance(job: Job, robot: Robot, recordings: Sequence[Recording]) -> Prove
             text = job.path(sensor.workbench).read_bytes()
             digest = hashlib.sha256(text).hexdigest()
             inputs.append(Input(role="workbench", path=str(sensor.workbench), sha256=digest))
-    for section, recording in zip(job.recordings, recordings, strict=True):
-        inputs.append(Input(role="recording", path=str(section.log), sha256=recording.digest))
+    for section, digest in zip(job.recordings, digests, strict=True):
+        inputs.append(Input(role="recording", path=str(section.log), sha256=digest))
     return Provenance(
         ftcal=__version__,
         python=platform.python_version(),
@@ -106,3 +93,35 @@ def provenance(job: Job, robot: Robot, recordings: Sequence[Recording]) -> Prove
         created=datetime.now(UTC).isoformat(timespec="seconds"),
         inputs=inputs,
     )
+
+
+def frame_name(sensor: FtSensor) -> str:
+    """Return the frame that expresses a sensor's wrench: a link, or `SENSOR (origin)`."""
+    frames = {"child": sensor.child, "parent": sensor.parent, "sensor": f"{sensor.name} (origin)"}
+    return frames[sensor.frame]
+
+
+def acted_link(sensor: FtSensor) -> str:
+    """Return the link on which a sensor's measured wrench acts."""
+    return sensor.parent if sensor.acts_on == "parent" else sensor.child
+
+
+def health_findings(found: Iterable[tuple[str, Finding]]) -> list[HealthFinding]:
+    """Return findings, each with the recording that shows it, as records."""
+    return [
+        HealthFinding(
+            recording=recording,
+            kind=f.kind,
+            signal=f.signal,
+            start=f.start,
+            stop=f.stop,
+            cut=f.cut,
+            message=f.message,
+        )
+        for recording, f in found
+    ]
+
+
+def verdict_records(verdicts: Iterable[Verdict]) -> list[AxisVerdict]:
+    """Return verdicts as records."""
+    return [AxisVerdict(axis=v.axis, verdict=v.word, reason=v.reason) for v in verdicts]

@@ -45,6 +45,9 @@ Norm = Literal["absolute", "rms"]
 Method = Literal["centred", "in situ"]
 """How the offset leaves the training data (section IV-A)."""
 
+IN_SITU = " (in situ)"
+"""Marks a training set with an in situ offset."""
+
 TOGETHER: dict[str, slice] = {**GROUPS, "all": slice(0, 6)}
 """What is scored: every axis, force, torque, and all six axes."""
 
@@ -63,7 +66,7 @@ class TrainingSet:
     @property
     def name(self) -> str:
         """Name in tables."""
-        return self.recording if self.method == "centred" else f"{self.recording} (in situ)"
+        return self.recording + (IN_SITU if self.method == "in situ" else "")
 
     def estimates(self, workbench: Workbench, lambdas: Sequence[float]) -> list[Estimate]:
         """Return the estimate (P7) for each penalty."""
@@ -87,7 +90,7 @@ def training_sets(recording: str, take: SensorTake) -> tuple[list[TrainingSet], 
     sets = [TrainingSet(recording, "centred", within(parts), envelope)]
     refusals = [offset.refusal for offset in take.offsets if offset.refusal]
     if refusals:
-        return sets, {f"{recording} (in situ)": refusals[0]}
+        return sets, {recording + IN_SITU: refusals[0]}
     about = [
         about_offset(*both).moments() for both in zip(take.segments, take.offsets, strict=True)
     ]

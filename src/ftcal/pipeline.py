@@ -63,7 +63,7 @@ def calibrate(job: Job, *, progress: Progress = silent) -> Outcome:
     calibration = Calibration(
         robot=robot.name,
         sensors=[sensor_calibration(job, outcome) for outcome in outcomes],
-        provenance=provenance(job, robot, recordings),
+        provenance=provenance(job, robot, [recording.digest for recording in recordings]),
     )
     return Outcome(job, robot, tuple(recordings), flat, tuple(outcomes), calibration)
 

@@ -7,8 +7,8 @@ about them only: `ftcal.urdf` makes them from a file, `ftcal.dynamics` computes 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -215,6 +215,11 @@ class Robot:
         if joint.kind != "fixed":
             raise RobotError(f"joint {name!r} is {joint.kind}; an F/T sensor sits in a fixed joint")
         return FtSensor(name, name, joint.parent, joint.child, "child", "parent", np.eye(4))
+
+    def stiffened(self, joints: Iterable[str]) -> Robot:
+        """Return the robot with `joints` fixed at zero."""
+        stiff = {name: replace(self.joint(name), kind="fixed") for name in joints}
+        return replace(self, joints={**self.joints, **stiff})
 
     def path(self, start: str, stop: str) -> tuple[Joint, ...]:
         """Return the joints between two links, in order of travel."""

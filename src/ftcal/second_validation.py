@@ -67,6 +67,8 @@ class Candidate:
     penalty: float
     """The paper's lambda; 0 for the Workbench."""
     law: Law
+    covariance: Float[Array, "6 P P"]
+    """Of each row of the coefficients; zero for the Workbench."""
 
     @property
     def name(self) -> str:
@@ -127,6 +129,22 @@ class SecondValidation:
         """Index of the candidate that leaves least on each axis."""
         return tuple(int(k) for k in np.argmin([left.axes for left in self.left], axis=0))
 
+    @property
+    def best_axes(self) -> list[tuple[str, str, float]]:
+        """Axis, name and mean size [N, Nm] of the best candidate of every axis (Table III)."""
+        return [
+            (axis, self.candidates[k].name, self.left[k].axes[i])
+            for i, (axis, k) in enumerate(zip(AXES, self.best_per_axis, strict=True))
+        ]
+
+    @property
+    def by_set(self) -> dict[str, dict[float, Leftover]]:
+        """What is left over by training set and penalty, the Workbench first (Table II)."""
+        rows: dict[str, dict[float, Leftover]] = {}
+        for candidate, left in zip(self.candidates, self.left, strict=True):
+            rows.setdefault(candidate.training, {})[candidate.penalty] = left
+        return rows
+
 
 def second_validation(
     sensor: str,
@@ -145,12 +163,14 @@ def second_validation(
     readings = {name: laws[name].read(inputs) for name, inputs in balance.inputs.items()}
     implied = balance.implied(sensor, readings)
     inputs = balance.inputs[sensor]
-    candidates = [Candidate(WORKBENCH, 0.0, laws[sensor])]
+    own = laws[sensor]
+    width = own.coefficients.shape[1]
+    candidates = [Candidate(WORKBENCH, 0.0, own, np.zeros((6, width, width)))]
     for k in first.surviving:
         one = first.sets[k]
         for penalty, estimate in zip(lambdas, one.estimates(workbench, lambdas), strict=True):
             law = aligned(estimate.coefficients, aligning)
-            candidates.append(Candidate(one.name, penalty, law))
+            candidates.append(Candidate(one.name, penalty, law, estimate.covariance))
     errors = [candidate.law.read(inputs) - implied for candidate in candidates]
     left = [Leftover.of(error) for error in errors]
     chosen = choice(candidates, left, aligning)
@@ -241,19 +261,3 @@ def sub_chains(
         names = tuple(balance.inputs)
         chains.append(SubChain(balance.sub_model, names, seconds_of(balance.time), left))
     return tuple(chains)
-
-
-def table(found: SecondValidation, lambdas: Sequence[float]) -> dict[str, dict[float, Leftover]]:
-    """Return the leftovers by training set and penalty, as the paper's Table II has them."""
-    rows: dict[str, dict[float, Leftover]] = {}
-    for candidate, left in zip(found.candidates, found.left, strict=True):
-        rows.setdefault(candidate.training, {})[candidate.penalty] = left
-    return rows
-
-
-def best_axes(found: SecondValidation) -> list[tuple[str, str, float]]:
-    """Return axis, candidate and mean size of the best candidate of every axis (Table III)."""
-    return [
-        (axis, found.candidates[k].name, found.left[k].axes[i])
-        for (i, axis), k in zip(enumerate(AXES), found.best_per_axis, strict=True)
-    ]

@@ -12,6 +12,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from ftcal.archive import Shelf
 from ftcal.config import Job
 from ftcal.errors import JobError, raise_all
@@ -40,6 +42,13 @@ from ftcal.urdf import read_robot
 if TYPE_CHECKING:
     from jaxtyping import Float
     from numpy import ndarray as Array
+
+
+OCTAVE = 0.015
+"""Distance of the ratio of two full scales from a power of two, in octaves: one percent."""
+
+UNLIKE_AXES = 3
+"""Axes that must disagree for two recordings to be of different boards."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -149,16 +158,25 @@ def same_sensors(takes: Sequence[Prepared], channels: Sequence[FtChannel]) -> No
     """
     faults = []
     for channel in channels:
-        shown = {t.name: t.sensors[channel.sensor].full_scale for t in takes}
-        known = {name: scale for name, scale in shown.items() if all(scale)}
-        first, *others = known or [""]
+        first, *others = ((take.name, take.sensors[channel.sensor].full_scale) for take in takes)
         faults += [
-            f"{channel.sensor} reads in steps of full scale {known[name]} in {name!r} but of"
-            f" {known[first]} in {first!r}"
-            for name in others
-            if known[name] != known[first]
+            f"{channel.sensor} shows full scales {' '.join(map(str, scale))} in {name!r} but"
+            f" {' '.join(map(str, first[1]))} in {first[0]!r}"
+            for name, scale in others
+            if unlike(scale, first[1])
         ]
     raise_all(JobError, "recordings of different robots, or a sensor was exchanged", faults)
+
+
+def unlike(one: Sequence[int], other: Sequence[int]) -> bool:
+    """Return whether two estimates of full scales cannot be of one board: three axes disagree.
+
+    A few readings leave an estimate off by a thousandth, or twice what it should be.
+    """
+    both = np.array([one, other], dtype=np.float64)
+    known = (both > 0.0).all(axis=0)
+    octaves = np.log2(both[0, known] / both[1, known])
+    return bool(np.sum(np.abs(octaves - np.rint(octaves)) > OCTAVE) >= UNLIKE_AXES)
 
 
 def run_laws(run: Prepared, channels: Sequence[FtChannel]) -> dict[str, Law]:

@@ -5,35 +5,46 @@ from __future__ import annotations
 import hashlib
 import json
 import shutil
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
+from ftcal.contact import Interval
 from ftcal.errors import JobError, OutputError, RobotError
 from ftcal.firmware import encode
-from ftcal.logs import yarp
+from ftcal.logs import tables, yarp
 from ftcal.logs.layout import Layout
 from ftcal.motion import STANDARD_GRAVITY
-from ftcal.synthetic.logger import Take
-from ftcal.synthetic.session import Session
+from ftcal.recording import Recording
+from ftcal.support import Support
+from ftcal.synthetic.faults import Faults
+from ftcal.synthetic.session import SensorTruth, Session
+from ftcal.synthetic.take import Take
 
 if TYPE_CHECKING:
     from jaxtyping import Float
     from numpy import ndarray as Array
 
 ROBOT, JOB, TRUTH = "robot.urdf", "job.toml", "truth.json"
-"""Files of a session besides its recordings and its matrix."""
+"""Files of a session besides its recordings and its matrices."""
+
+Form = Literal["yarp", "parquet", "csv"]
+"""How recordings are written."""
+
+ROUNDING = 0.01
+"""Contact intervals are written in whole steps of this [s]."""
 
 
-def write_session(session: Session, folder: Path, *, urdf: Path) -> Path:
+def write_session(session: Session, folder: Path, *, urdf: Path, form: Form = "yarp") -> Path:
     """Write a session into `folder` and return its job file.
 
-    Next to `job.toml`: a YARP tree for each recording, the firmware matrix, `robot.urdf` (a copy of
-    `urdf`, from which the robot was read) and `truth.json`. A folder that already holds a session
-    is replaced entry by entry. Raises `OutputError` where the folder holds anything else or cannot
-    be written, `RobotError` where `urdf` is not the robot's.
+    Next to `job.toml`: each recording as a YARP tree or a folder of tables, the firmware matrices,
+    `robot.urdf` (a copy of `urdf`, from which the robot was read) and `truth.json`. A folder that
+    already holds a session is replaced entry by entry. Raises `OutputError` where the folder holds
+    anything else or cannot be written, `RobotError` where `urdf` is not the robot's.
     """
     robot = _description(session, urdf)
     if folder.is_dir() and any(folder.iterdir()) and not (folder / TRUTH).is_file():
@@ -42,7 +53,7 @@ def write_session(session: Session, folder: Path, *, urdf: Path) -> Path:
     try:
         shutil.rmtree(staged, ignore_errors=True)
         staged.mkdir(parents=True)
-        _fill(session, staged, robot)
+        _fill(session, staged, robot, form)
         folder.mkdir(exist_ok=True)
         # the job comes last: where it is, all that it names is
         for entry in sorted(staged.iterdir(), key=lambda path: (path.name == JOB, path.name)):
@@ -87,58 +98,129 @@ def _description(session: Session, urdf: Path) -> bytes:
     return text
 
 
-def _fill(session: Session, folder: Path, robot: bytes) -> None:
+def _fill(session: Session, folder: Path, robot: bytes, form: Form) -> None:
     (folder / ROBOT).write_bytes(robot)
-    firmware = session.truth.firmware
-    matrix = f"matrix_{firmware.serial}.txt"
-    _write_text(folder / matrix, encode(firmware.matrix, firmware.full_scale))
     job = [
         "# A simulated robot: what a calibration should find is in truth.json.",
         f"robot = {_toml(ROBOT)}",
-        *("", "[[sensors]]"),
-        f"name = {_toml(session.sensor)}",
-        f"signal = {_toml(session.signal)}",
-        f"workbench = {_toml(matrix)}",
     ]
-    if warm := session.recordings[0].temperatures:
-        job.append(f"temperature = {_toml(warm[0].name)}")
+    for name, signal in session.sensors.items():
+        firmware = session.truth[name].firmware
+        matrix = f"matrix_{firmware.serial}.txt"
+        _write_text(folder / matrix, encode(firmware.matrix, firmware.full_scale))
+        job += ["", "[[sensors]]", f"name = {_toml(name)}", f"signal = {_toml(signal)}"]
+        job.append(f"workbench = {_toml(matrix)}")
+        if name in session.thermometers:
+            job.append(f"temperature = {_toml(session.thermometers[name])}")
     for take, recording in zip(session.takes, session.recordings, strict=True):
-        layout = yarp.write(recording, folder / take.name)
-        job += ["", "[[recordings]]", *_recording(take, layout, recording.duration)]
+        said = FORMS[form](recording, folder / take.name)
+        job += ["", "[[recordings]]", *_recording(take, recording.duration), *said]
     _write_text(folder / TRUTH, json.dumps(_truth(session), indent=1) + "\n")
     _write_text(folder / JOB, "\n".join(job) + "\n")
 
 
-def _recording(take: Take, layout: Layout, duration: float) -> list[str]:
-    """Return the lines of one take in the job file."""
-    lines = [f"log = {_toml(take.name)}", f"contact = {_toml(take.contact.link)}"]
-    if tuple(take.contact.gravity) != STANDARD_GRAVITY:
-        lines.append(f"gravity = {_toml(take.contact.gravity)}")
+def _recording(take: Take, duration: float) -> list[str]:
+    """Return what the job file says of one take but for its format."""
+    lines = [f"log = {_toml(take.name)}", *_contacts(take.support, duration)]
+    if tuple(take.support.gravity) != STANDARD_GRAVITY:
+        lines.append(f"gravity = {_toml(take.support.gravity)}")
     if take.held_out:
-        lines += ["train = []", f"test = [[0.0, {np.ceil(duration + 1e-3)}]]"]
-    if layout.joints:
-        named = [f"{_toml(port)} = {_toml(names)}" for port, names in layout.joints.items()]
-        lines.append(f"joints = {{ {', '.join(named)} }}")
+        lines += ["train = []", f"test = [[0.0, {_end(duration)}]]"]
+    return lines
+
+
+def _contacts(support: Support, duration: float) -> list[str]:
+    """Return who touches, and when, as the job file says it.
+
+    Spans are rounded inwards: nothing is said of the moment of a switch.
+    """
+    spans = support.schedule().intervals
+    if len(spans) == 1:
+        return [f"contact = {_toml(_links(spans[0]))}"]
+    lines = []
+    for span in spans:
+        start = np.ceil(span.start / ROUNDING) * ROUNDING
+        stop = np.floor(min(span.stop, _end(duration)) / ROUNDING) * ROUNDING
+        if stop > start:
+            links = _toml(_links(span))
+            lines.append(f"    {{ start = {start:.2f}, stop = {stop:.2f}, link = {links} }},")
+    return ["contacts = [", *lines, "]"]
+
+
+def _links(span: Interval) -> str | tuple[str, ...]:
+    return span.touching if span.others else span.link
+
+
+def _end(duration: float) -> float:
+    """Return a whole second after the last sample."""
+    return float(np.ceil(duration + 1e-3))
+
+
+def _yarp(recording: Recording, folder: Path) -> list[str]:
+    """Write a YARP tree; return what the job file says of it."""
+    return _tables_of(joints=yarp.write(recording, folder).joints)
+
+
+def _parquet(recording: Recording, folder: Path) -> list[str]:
+    """Write a folder of Parquet tables; return what the job file says of it."""
+    return _columns(tables.write(recording, folder, suffix=".parquet"))
+
+
+def _csv(recording: Recording, folder: Path) -> list[str]:
+    """Write a folder of CSV tables; return what the job file says of it."""
+    return _columns(tables.write(recording, folder, suffix=".csv"))
+
+
+FORMS: Mapping[Form, Callable[[Recording, Path], list[str]]] = {
+    "yarp": _yarp,
+    "parquet": _parquet,
+    "csv": _csv,
+}
+"""How a recording may be written."""
+
+
+def _columns(layout: Layout) -> list[str]:
+    zero = [f"zero = {_toml(layout.zero)}"]
+    return zero + _tables_of(channels=layout.channels, temperatures=layout.temperatures)
+
+
+def _tables_of(**tables: Mapping[str, object]) -> list[str]:
+    """Return inline tables of the job file, those left out that are empty."""
+    lines = []
+    for key, table in tables.items():
+        named = [f"{_toml(name)} = {_toml(value)}" for name, value in table.items()]
+        if named:
+            lines.append(f"{key} = {{ {', '.join(named)} }}")
     return lines
 
 
 def _truth(session: Session) -> Mapping[str, Any]:
-    truth = session.truth
-    return {
-        "sensors": {
-            session.sensor: {
-                "law": "w = C r + o + k (T - T_ref); r in counts, w in N and Nm",
-                "gain": truth.gain.tolist(),
-                "secondary": truth.secondary.tolist(),
-                "offsets": {name: offset.tolist() for name, offset in truth.offsets.items()},
-                "temperature_gain": None
-                if truth.temperature_gain is None
-                else truth.temperature_gain.tolist(),
-                "reference_temperature": truth.reference_temperature,
-                "workbench": truth.firmware.matrix.tolist(),
-                "full_scale": truth.firmware.full_scale.tolist(),
-            }
+    truth: dict[str, Any] = {
+        "sensors": {name: _sensor_truth(known) for name, known in session.truth.items()}
+    }
+    if session.faults != Faults():
+        truth["faults"] = asdict(session.faults)
+        truth["joint_zeros"] = session.joint_zeros
+        truth["links"] = {
+            name: {"mass": link.mass, "com": link.com.tolist()}
+            for name, link in session.real.links.items()
+            if link.mass > 0.0
         }
+    return truth
+
+
+def _sensor_truth(truth: SensorTruth) -> Mapping[str, Any]:
+    return {
+        "law": "w = C r + o + k (T - T_ref); r in counts, w in N and Nm",
+        "gain": truth.gain.tolist(),
+        "secondary": truth.secondary.tolist(),
+        "offsets": {name: offset.tolist() for name, offset in truth.offsets.items()},
+        "temperature_gain": None
+        if truth.temperature_gain is None
+        else truth.temperature_gain.tolist(),
+        "reference_temperature": truth.reference_temperature,
+        "workbench": truth.firmware.matrix.tolist(),
+        "full_scale": truth.firmware.full_scale.tolist(),
     }
 
 

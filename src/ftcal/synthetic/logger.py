@@ -1,25 +1,25 @@
-"""How a pretend robot logs one take: the sensor's board, the encoders, the clocks.
+"""How a pretend robot logs one take: the sensors' boards, the encoders, the clocks.
 
-The sensor feels the wrench of the *true* motion at the very times it is logged; what is logged of
-the motion is what the encoders saw, on their own clocks.
+Sensors feel the wrench of the *true* motion at the very times they are logged, or a delay before;
+what is logged of the motion is what the encoders saw, on their own clocks.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ftcal.dynamics import expected_wrenches
-from ftcal.errors import DataError, raise_all
 from ftcal.logs.layout import ICUB_JOINTS, WRENCH_AXES
-from ftcal.motion import FixedContact
-from ftcal.motions import Trajectory
 from ftcal.recording import NANOSECONDS, Recording, Signal
 from ftcal.robot import Robot
+from ftcal.synthetic.conditions import REFERENCE_TEMPERATURE, Conditions
+from ftcal.synthetic.faults import Faults
+from ftcal.synthetic.load import felt
 from ftcal.synthetic.sensor import PretendSensor
+from ftcal.synthetic.take import COLD, Take, Warmth, warmth
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Int
@@ -28,166 +28,120 @@ if TYPE_CHECKING:
 MICROSECOND = 1000
 """Finest step of the time stamps [ns]: logs of a YARP dumper keep no more."""
 
-REFERENCE_TEMPERATURE = 25.0
-"""T_ref of every pretend sensor [degree Celsius]."""
-
-WARMEST_START = 5.0
-"""How much warmer than T_ref a sensor may be when a take begins [K]."""
-
 THERMOMETER_STEP = 0.1
 """Resolution of the thermometer [K]; it is read once a second."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Conditions:
-    """How imperfect the pretend sensor, encoders and clocks are; the defaults are an iCub's."""
-
-    kappa: float = 0.03
-    """Expected bend of the secondary matrix by mounting, fraction of full scale."""
-    noise: float = 8.0
-    """Standard deviation of the white noise on every raw channel [counts]: the sensors of the real
-    iCubGenova02 show 2 to 14."""
-    offset: float = 8000.0
-    """Largest raw offset of a channel [counts]; every recording draws its own."""
-    digital: bool = True
-    """Whether counts are whole and the board sends steps of full scale / 32768."""
-    encoder: float = 2.0 * np.pi / 4096.0
-    """Step of the joint encoders [rad]; 0 for none. Default: 12 bits, 0.0879 degrees."""
-    flicker: float = 0.2
-    """Standard deviation of the noise of the joint encoders, share of their step: of the joints of
-    the real iCubGenova02 at rest, two in five keep changing between two readings."""
-    rate: float = 100.0
-    """Samples of every signal per second."""
-    jitter: float = 2e-4
-    """Standard deviation of the time between samples about its mean [s]."""
-    warming: float = 0.0
-    """How much the sensor warms up during a take [K]; where it does, a thermometer is logged."""
-
-    def __post_init__(self) -> None:
-        faults = [
-            f"{name} = {value:g} must be zero or more and finite"
-            for name, value in (
-                ("kappa", self.kappa),
-                ("noise", self.noise),
-                ("offset", self.offset),
-                ("encoder", self.encoder),
-                ("flicker", self.flicker),
-                ("jitter", self.jitter),
-                ("warming", abs(self.warming)),
-            )
-            if not 0.0 <= value < np.inf
-        ]
-        if not 0.0 < self.rate < np.inf:
-            faults.append(f"rate = {self.rate:g} must be positive and finite")
-        raise_all(DataError, "conditions", faults)
-
-
 @dataclass(frozen=True, slots=True, eq=False)
-class Take:
-    """One recording to be made."""
+class Mounted:
+    """One sensor in the robot, and its port in the log."""
 
     name: str
-    """Its name, and that of its folder."""
-    trajectory: Trajectory
-    """How the robot moves: of `ftcal.motions`, or a user's own."""
-    contact: FixedContact
-    """What stands still, and which way gravity points there."""
-    held_out: bool = False
-    """Whether the job keeps it for validation alone."""
+    port: str
+    sensor: PretendSensor
 
-
-@dataclass(frozen=True, slots=True)
-class Warmth:
-    """Temperature of the sensor during a take."""
-
-    start: float
-    """Above T_ref when the take begins [K]."""
-    rate: float
-    """K/s."""
-
-    def above_reference(self, time: Float[Array, "N"]) -> Float[Array, "N"]:
-        """Return T - T_ref [K] at `time` [s]."""
-        return np.asarray(self.start + self.rate * time)
+    @property
+    def thermometer(self) -> str:
+        """Port of its temperature."""
+        return f"{self.port.rpartition('/')[0]}/temperature:o"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Logger:
-    """A robot with its mounted sensor, and how well it logs both."""
+    """A robot with its mounted sensors, and how well it logs both."""
 
     robot: Robot
-    sensor: str
-    port: str
-    mounted: PretendSensor
+    """As it weighs, not as its description says."""
+    mounted: Sequence[Mounted]
     conditions: Conditions
+    faults: Faults
+    zeros: Mapping[str, float]
+    """Joint → zero of its encoder [rad or m]."""
+    warm: bool
+    """Whether any sensor warms up in any take."""
 
     def record(
         self, take: Take, start: int, generator: np.random.Generator
-    ) -> tuple[Recording, Float[Array, "6"]]:
-        """Return one recording from `start` [ns] on, and the raw offset of its sensor [counts]."""
-        trajectory, warming = take.trajectory, self.conditions.warming
-        ports = _joint_ports(trajectory.joints)
-        clocks = _clocks([self.port, *ports], trajectory.duration, self.conditions, generator)
+    ) -> tuple[Recording, dict[str, Float[Array, "6"]]]:
+        """Return one recording from `start` [ns] on, and the raw offset of each sensor [counts]."""
+        ports = _joint_ports(take.trajectory.joints)
+        ours = [mounted.port for mounted in self.mounted]
+        clocks = _clocks([*ours, *ports], take.trajectory.duration, self.conditions, generator)
         began = min(int(clock[0]) for clock in clocks.values())
         since = {name: clock - began for name, clock in clocks.items()}
 
-        warmth = Warmth(generator.uniform(0.0, WARMEST_START) if warming else 0.0,
-                        warming / trajectory.duration)  # fmt: skip
-        wrench, raw = self.sense(take, warmth, since[self.port] / NANOSECONDS, generator)
-        felt = Signal(self.port, WRENCH_AXES, since[self.port] + start, wrench)
-        joints = [
+        offsets, channels, temperatures = {}, [], []
+        for mounted in self.mounted:
+            warm = warmth(take, self.conditions, generator) if self.warm else COLD
+            stamps = since[mounted.port]
+            wrench, raw = self.sense(mounted, take, warm, stamps / NANOSECONDS, generator)
+            offsets[mounted.name] = raw
+            channels.append(Signal(mounted.port, WRENCH_AXES, stamps + start, wrench))
+            if self.warm and self.conditions.thermometer:
+                name, duration = mounted.thermometer, take.trajectory.duration
+                temperatures.append(self.thermometer(name, warm, duration, start))
+        joints = tuple(
             Signal(
-                name,
-                columns,
-                since[name] + start,
-                self.encode(trajectory, columns, since[name], generator),
+                name, columns, since[name] + start,
+                self.encode(take, columns, since[name] / NANOSECONDS, generator),
             )
             for name, columns in ports.items()
-        ]
+        )  # fmt: skip
         recording = Recording(
             name=take.name,
             source="ftcal.synthetic",
             start=start,
-            joints=tuple(joints),
-            channels=(felt,),
-            temperatures=(self.thermometer(warmth, trajectory.duration, start),) if warming else (),
+            joints=joints,
+            channels=tuple(channels),
+            temperatures=tuple(temperatures),
         )
-        return recording, raw
+        return recording, offsets
 
     def sense(
-        self, take: Take, warmth: Warmth, time: Float[Array, "N"], generator: np.random.Generator
+        self,
+        mounted: Mounted,
+        take: Take,
+        warm: Warmth,
+        time: Float[Array, "N"],
+        generator: np.random.Generator,
     ) -> tuple[Float[Array, "N 6"], Float[Array, "6"]]:
-        """Return what the board sends [N, Nm] at `time` [s], and the raw offset [counts]."""
-        motion = take.trajectory.at(time)
-        wrench = expected_wrenches(self.robot, motion, take.contact, [self.sensor])[self.sensor]
-        response = self.mounted.response(wrench, warmth.above_reference(time))
+        """Return what a board sends [N, Nm] at `time` [s], and its raw offset [counts]."""
+        name, sensor, faults = mounted.name, mounted.sensor, self.faults
+        then = time - faults.delay_of(name)
+        brushes = faults.brushes(take)
+        wrench = felt(self.robot, take.trajectory, take.support, brushes, [name], then)[name]
+        response = sensor.response(wrench, warm.above_reference(time))
         noise, largest = self.conditions.noise, self.conditions.offset
-        raw = self.mounted.zero(response, generator, largest=largest, spare=8.0 * noise)
+        raw = sensor.zero(response, generator, largest=largest, spare=8.0 * noise)
+        if share := faults.saturated_share(name, take.name):
+            raw = sensor.saturating(response, raw, share)
         counts = response + raw + noise * generator.normal(size=response.shape)
-        if self.conditions.digital:
-            return self.mounted.sent(np.rint(counts)), raw
-        return counts @ self.mounted.firmware.matrix.T, raw
+        for step in faults.steps_of(name, take.name):
+            jumped = (time >= step.start) & (time < (np.inf if step.stop is None else step.stop))
+            counts[jumped] += np.linalg.solve(sensor.gain, np.array(step.wrench))
+        return sensor.sent(counts, digital=self.conditions.digital), raw
 
     def encode(
         self,
-        trajectory: Trajectory,
+        take: Take,
         joints: tuple[str, ...],
-        since: Int[Array, "N"],
+        time: Float[Array, "N"],
         generator: np.random.Generator,
     ) -> Float[Array, "N K"]:
-        """Return what the encoders of `joints` see [rad or m]."""
-        motion = trajectory.at(since / NANOSECONDS)
-        position = motion.position[:, motion.columns(joints)]
+        """Return what the encoders of `joints` see at `time` [s], in rad or m."""
+        motion = take.trajectory.at(time)
+        zeros = np.array([self.zeros.get(joint, 0.0) for joint in joints])
+        position = motion.position[:, motion.columns(joints)] + zeros
         noise = self.conditions.flicker * generator.normal(size=position.shape)
         step = self.conditions.encoder
         return np.asarray(np.rint(position / step + noise) * step) if step else position
 
-    def thermometer(self, warmth: Warmth, duration: float, start: int) -> Signal:
-        """Return the sensor's temperature [degree Celsius], read once a second."""
-        second = np.arange(int(np.ceil(duration)) + 1)
-        celsius = REFERENCE_TEMPERATURE + warmth.above_reference(second)
+    def thermometer(self, name: str, warm: Warmth, duration: float, start: int) -> Signal:
+        """Return a sensor's temperature [degree Celsius], read once a second."""
+        second = np.arange(int(np.ceil(round(duration, 6))) + 1)
+        celsius = REFERENCE_TEMPERATURE + warm.above_reference(second)
         if self.conditions.digital:
             celsius = np.rint(celsius / THERMOMETER_STEP) * THERMOMETER_STEP
-        name = f"{self.port.rpartition('/')[0]}/temperature:o"
         return Signal(name, ("temperature",), start + second * NANOSECONDS, celsius[:, None])
 
 
@@ -211,12 +165,12 @@ def _clocks(
 ) -> dict[str, Int[Array, "N"]]:
     """Return the stamps [ns] of each port from the start of the motion, in whole microseconds.
 
-    Every port starts within one period; stamps keep their order whatever the jitter.
+    Ports start within the stagger of each other; stamps keep their order whatever the jitter.
     """
     period = 1.0 / conditions.rate
     clocks = {}
     for port in ports:
-        phase = generator.uniform(0.4, 1.4) * period
+        phase = generator.uniform(0.4, 0.4 + conditions.stagger) * period
         count = int((duration - phase) / period)
         jitter = generator.normal(size=count) * conditions.jitter
         when = phase + np.arange(count) * period + np.clip(jitter, -0.4 * period, 0.4 * period)

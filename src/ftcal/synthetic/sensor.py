@@ -85,10 +85,38 @@ class PretendSensor:
         wanted = generator.uniform(-largest, largest, size=6)
         return np.asarray(np.clip(wanted, -ceiling - low, ceiling - high))
 
-    def sent(self, counts: Float[Array, "N 6"]) -> Float[Array, "N 6"]:
-        """Return what the board sends [N, Nm] of raw readings, in steps of full scale / 32768."""
+    def saturating(
+        self, response: Float[Array, "N 6"], raw: Float[Array, "6"], share: float
+    ) -> Float[Array, "6"]:
+        """Return the raw offset `raw` [counts] but for the widest channel, which gets too little.
+
+        It leaves the range in about the given share of the samples.
+        """
+        widest = int(np.argmax(np.ptp(response, axis=0)))
+        return np.where(
+            np.arange(6) == widest,
+            COUNTS - np.quantile(response[:, widest], 1.0 - share),
+            raw,
+        )
+
+    def sent(self, counts: Float[Array, "N 6"], *, digital: bool) -> Float[Array, "N 6"]:
+        """Return what the board sends [N, Nm] of raw readings, in steps of full scale / 32768.
+
+        While a channel is beyond its range all six outputs stay those of the last good sample (seen
+        on iCubGenova02). A board that is not `digital` rounds nothing.
+        """
+        good = (np.abs(np.rint(counts)) <= COUNTS).all(axis=1)
+        if not good.any():
+            raise DataError(
+                f"sensor {self.firmware.serial!r} saturates in every sample; ask for a smaller"
+                " share or a smaller offset step, or use a sensor of larger full scale"
+            )
+        last = np.maximum.accumulate(np.where(good, np.arange(len(counts)), np.argmax(good)))
+        if not digital:
+            return np.asarray((counts @ self.firmware.matrix.T)[last])
         step = self.firmware.full_scale / ONE
-        return np.asarray(np.rint(counts @ self.firmware.matrix.T / step) * step)
+        wrench = np.rint(counts) @ self.firmware.matrix.T
+        return np.asarray((np.rint(wrench / step) * step)[last])
 
 
 def invent_firmware(

@@ -1,4 +1,4 @@
-"""A session: takes of a pretend robot with one pretend sensor, what was logged, and the truth."""
+"""A session: takes of a pretend robot with pretend sensors, what was logged, and the truth."""
 
 from __future__ import annotations
 
@@ -9,13 +9,19 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ftcal.errors import DataError, raise_all
+from ftcal.errors import DataError, raise_all, unknown
 from ftcal.firmware import FirmwareMatrix
 from ftcal.recording import NANOSECONDS, Recording
 from ftcal.robot import Robot
 from ftcal.sensor import SensorModel
-from ftcal.synthetic.logger import REFERENCE_TEMPERATURE, Conditions, Logger, Take
+from ftcal.synthetic.conditions import REFERENCE_TEMPERATURE, Conditions
+from ftcal.synthetic.faults import Faults
+from ftcal.synthetic.faults import check as check_faults
+from ftcal.synthetic.inertia import perturbed
+from ftcal.synthetic.logger import Logger, Mounted
 from ftcal.synthetic.sensor import invent_firmware, mount
+from ftcal.synthetic.take import Take
+from ftcal.synthetic.take import check as check_takes
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -27,6 +33,9 @@ START = 1_600_000_000 * NANOSECONDS
 PAUSE = 60 * NANOSECONDS
 """Between two takes [ns]."""
 
+FIRST_SERIAL = 900
+"""Serial number of the first invented sensor; the others follow."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SensorTruth:
@@ -37,7 +46,7 @@ class SensorTruth:
     secondary: Float[Array, "6 6"]
     """S, `C = S C_w`."""
     offsets: Mapping[str, Float[Array, "6"]]
-    """o [N, Nm] by recording."""
+    """o [N, Nm] by recording, as it begins: before any offset step."""
     firmware: FirmwareMatrix
     """C_w and full scale, as in the sensor's board: what is known beforehand."""
     temperature_gain: Float[Array, "6"] | None
@@ -54,57 +63,121 @@ class SensorTruth:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Session:
-    """All takes of one sensor."""
+    """All takes of all sensors."""
 
     robot: Robot
-    sensor: str
-    """Name of the sensor in the robot description."""
-    signal: str
-    """F/T signal of the recordings that carries its calibrated wrench [N, Nm]."""
+    """As its description says."""
+    real: Robot
+    """As it weighs."""
+    sensors: Mapping[str, str]
+    """Sensor → F/T signal of the recordings that carries its calibrated wrench [N, Nm]."""
     takes: tuple[Take, ...]
     recordings: tuple[Recording, ...]
     """What was logged, take by take."""
-    truth: SensorTruth
+    truth: Mapping[str, SensorTruth]
+    """By sensor."""
+    faults: Faults
+    """What was made to go wrong."""
+    joint_zeros: Mapping[str, float]
+    """Joint → what its encoder reads at position zero [rad or m]; empty where all read zero."""
+    thermometers: Mapping[str, str]
+    """Sensor → temperature signal; empty where none is logged."""
 
 
 def simulate(
     robot: Robot,
     takes: Sequence[Take],
     *,
-    sensor: str,
+    sensors: Mapping[str, str],
     generator: np.random.Generator,
-    signal: str | None = None,
-    firmware: FirmwareMatrix | None = None,
+    firmware: Mapping[str, FirmwareMatrix] | None = None,
     conditions: Conditions | None = None,
+    faults: Faults | None = None,
 ) -> Session:
-    """Return what the robot would log of `takes`, and the truth about its sensor.
+    """Return what the robot would log of `takes`, and the truth about its sensors.
 
-    The same mounted sensor is in all takes; each has its own raw offset. `signal` is the port of
-    its log, such as `right_leg/analog:o` (default: by the sensor's name); `firmware` is that of a
-    real sensor (default: an invented one). Raises `DataError` where take names repeat or the sensor
-    would saturate, `RobotError` for unknown names.
+    `sensors` maps sensors to their ports in the log, such as `right_leg/analog:o`; `firmware` those
+    that are real to what is in their boards (default: invented). The same mounted sensors are in
+    all takes; each take has its own raw offsets. Raises `DataError` where names repeat, a fault
+    names what is not there, or a sensor would saturate unasked; `RobotError` for unknown names.
     """
-    conditions = conditions or Conditions()
-    _check(takes)
-    name = robot.sensor(sensor).name
-    mounted = mount(firmware or invent_firmware(generator), generator, kappa=conditions.kappa)
-    port = _port(signal or re.sub(r"[^\w-]", "_", name))
-    logger = Logger(robot, name, port, mounted, conditions)
-    recordings, offsets, start = [], {}, START
+    conditions, faults = conditions or Conditions(), faults or Faults()
+    check_takes(takes)
+    ports = _ports(robot, sensors)
+    boards = {robot.sensor(name).name: board for name, board in (firmware or {}).items()}
+    _check_boards(ports, boards)
+    check_faults(faults, robot, ports, takes)
+    mounted = []
+    for number, (name, port) in enumerate(ports.items()):
+        board = boards.get(name) or invent_firmware(generator, serial=serial(number))
+        kappa = faults.kappa.get(name, conditions.kappa)
+        mounted.append(Mounted(name, port, mount(board, generator, kappa=kappa)))
+    # of their own stream: what is drawn for a session does not depend on its faults
+    weights, encoders = generator.spawn(2)
+    real = perturbed(robot, weights, mass=faults.mass, com=faults.com)
+    drawn = faults.joint_zero * encoders.normal(size=len(robot.moving_joints))
+    zeros = dict(zip(robot.moving_joints, drawn.tolist(), strict=True)) if faults.joint_zero else {}
+    warm = bool(conditions.warming) or any(take.warm for take in takes)
+    logger = Logger(real, mounted, conditions, faults, zeros, warm)
+    recordings, start = [], START
+    offsets: dict[str, dict[str, Float[Array, "6"]]] = {name: {} for name in ports}
     for take in takes:
         recording, raw = logger.record(take, start, generator)
         recordings.append(recording)
-        offsets[take.name] = -mounted.gain @ raw
+        for one in mounted:
+            offsets[one.name][take.name] = -one.sensor.gain @ raw[one.name]
         start += round(take.trajectory.duration) * NANOSECONDS + PAUSE
-    truth = SensorTruth(
-        mounted.gain,
-        mounted.secondary,
-        offsets,
-        mounted.firmware,
-        mounted.temperature_gain if conditions.warming else None,
-        REFERENCE_TEMPERATURE,
+    truth = {
+        one.name: SensorTruth(
+            one.sensor.gain,
+            one.sensor.secondary,
+            offsets[one.name],
+            one.sensor.firmware,
+            one.sensor.temperature_gain if warm else None,
+            REFERENCE_TEMPERATURE,
+        )
+        for one in mounted
+    }
+    logged = warm and conditions.thermometer
+    return Session(
+        robot=robot,
+        real=real,
+        sensors=ports,
+        takes=tuple(takes),
+        recordings=tuple(recordings),
+        truth=truth,
+        faults=faults,
+        joint_zeros=zeros,
+        thermometers={one.name: one.thermometer for one in mounted} if logged else {},
     )
-    return Session(robot, name, port, tuple(takes), tuple(recordings), truth)
+
+
+def serial(number: int) -> str:
+    """Return the serial number of the board of an invented sensor; they count from 0."""
+    return f"SN{FIRST_SERIAL + number}"
+
+
+def _ports(robot: Robot, sensors: Mapping[str, str]) -> dict[str, str]:
+    """Return the port of each sensor by its name in the robot; `DataError` where one repeats."""
+    named = [(robot.sensor(name).name, _port(signal)) for name, signal in sensors.items()]
+    faults = [
+        f"{name!r} appears twice"
+        for names in zip(*named, strict=True)
+        for name in sorted(set(names))
+        if names.count(name) > 1
+    ]
+    if not named:
+        faults.append("there is none")
+    raise_all(DataError, "sensors", faults)
+    return dict(named)
+
+
+def _check_boards(ports: Mapping[str, str], boards: Mapping[str, FirmwareMatrix]) -> None:
+    """Raise `DataError` unless every board is of a sensor that is simulated, and the only one."""
+    serials = [board.serial for board in boards.values()]
+    faults = [unknown("simulated sensor", name, ports) for name in boards if name not in ports]
+    faults += [f"{n!r} appears twice" for n in sorted(set(serials)) if serials.count(n) > 1]
+    raise_all(DataError, "firmware", faults)
 
 
 def _port(signal: str) -> str:
@@ -115,14 +188,3 @@ def _port(signal: str) -> str:
             " right_leg/analog:o"
         )
     return signal if signal.endswith("/analog:o") else f"{signal}/analog:o"
-
-
-def _check(takes: Sequence[Take]) -> None:
-    """Raise `DataError` unless every take can have a folder of its own."""
-    names = [take.name for take in takes]
-    faults = [f"{n!r} is no folder name; use letters, digits, _ and -" for n in names
-              if not re.fullmatch(r"[\w-]+", n)]  # fmt: skip
-    faults += [f"{n!r} appears twice" for n in sorted(set(names)) if names.count(n) > 1]
-    if not names:
-        faults.append("there is none")
-    raise_all(DataError, "takes", faults)

@@ -1,0 +1,199 @@
+"""A study → `calibration.json`: the mixed matrix of every sensor, and how far to trust it.
+
+A row was chosen because it leaves least where nothing touches. Whether it may be used is asked of
+pieces of the switching run that did not choose it, and of what its training data could say at all.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ftcal.calibration import Calibration, Offset, Prior, SensorCalibration
+from ftcal.evidence import (
+    acted_link,
+    frame_name,
+    health_findings,
+    provenance,
+    verdict_records,
+)
+from ftcal.excitation import excitation
+from ftcal.first_validation import TrainingSet
+from ftcal.noise import Noise, inefficiency
+from ftcal.preparation import Prepared
+from ftcal.ridge import Estimate, ScaledProblem
+from ftcal.samples import Samples
+from ftcal.second_validation import MIXED, WORKBENCH, Candidate, SecondValidation
+from ftcal.sensor import AXES, UNITS
+from ftcal.study import SensorStudy, StudyOutcome
+from ftcal.validate import Envelope, held_out
+from ftcal.verdict import Verdict, identifiable
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+    from numpy import ndarray as Array
+
+
+def study_calibration(outcome: StudyOutcome) -> Calibration | None:
+    """Return the mixed matrices of a study to deploy; None where it had no second validation.
+
+    An axis that is no better on pieces that did not choose it keeps its Workbench row.
+    """
+    sensors = [
+        _sensor(study, study.second, outcome.recordings)
+        for study in outcome.sensors
+        if study.second is not None
+    ]
+    if not sensors:
+        return None
+    digests = [recording.digest for recording in outcome.recordings]
+    return Calibration(
+        robot=outcome.robot.name,
+        sensors=sensors,
+        provenance=provenance(outcome.job, outcome.robot, digests),
+    )
+
+
+def _sensor(
+    study: SensorStudy, second: SecondValidation, recordings: Sequence[Prepared]
+) -> SensorCalibration:
+    """Return the part of one sensor."""
+    channel, ft = study.channel, study.sensor
+    workbench = channel.workbench
+    segments = [s for r in recordings for s in r.sensors[channel.sensor].segments]
+    chosen = [second.candidates[k] for k in second.best_per_axis]
+    noise = residual_noise(second.mixed.coefficients, segments, study)
+    verdicts = mixed_verdicts(study, second, recordings)
+    mixed, width = second.mixed.coefficients, second.mixed.coefficients.shape[1]
+    covariance = np.zeros((6, width, width))
+    for axis, one in enumerate(chosen):
+        size = one.covariance.shape[1]
+        covariance[axis, :size, :size] = one.covariance[axis]
+    keep = np.array([not verdict.use for verdict in verdicts])
+    deployed = mixed.copy()
+    deployed[keep] = 0.0
+    deployed[keep, : workbench.gain.shape[1]] = workbench.gain[keep]
+    k = workbench.gain.shape[1]
+    estimate = Estimate(deployed[:, :k], deployed[:, k] if width > k else None, covariance)
+    secondary = workbench.secondary(estimate.gain)
+    offsets = []
+    for segment in segments:
+        moments = segment.moments()
+        offsets.append(
+            Offset(
+                recording=segment.recording,
+                start=segment.start,
+                stop=segment.stop,
+                offset=estimate.offset(moments).tolist(),
+                sd=estimate.offset_error(moments, noise).tolist(),
+            )
+        )
+    trained = [one for one in study.first.sets if one.name in {c.training for c in chosen}]
+    return SensorCalibration(
+        sensor=ft.name,
+        signal=channel.signal,
+        temperature_signal=channel.temperature,
+        logged=workbench.logged,
+        frame=frame_name(ft),
+        acts_on=acted_link(ft),
+        gain=estimate.gain.tolist(),
+        fitted_gain=mixed[:, :k].tolist(),
+        secondary=None if secondary is None else secondary.tolist(),
+        temperature_gain=None
+        if estimate.temperature_gain is None
+        else estimate.temperature_gain.tolist(),
+        reference_temperature=0.0,
+        offsets=offsets,
+        covariance=covariance.tolist(),
+        envelope=widest([one.envelope for one in trained or study.first.sets]),
+        noise_sd=noise.sd.tolist(),
+        inefficiency=noise.inefficiency.tolist(),
+        prior=Prior(
+            name=workbench.name,
+            gain=workbench.gain.tolist(),
+            full_scale=workbench.full_scale.tolist(),
+            form="lambda",
+            strength=[one.penalty for one in chosen],
+            chosen_by="second validation",
+        ),
+        verdicts=verdict_records(verdicts),
+        health=health_findings(
+            (recording.name, finding)
+            for recording in recordings
+            for finding in recording.findings
+            if finding.signal in {channel.signal, channel.temperature}
+        ),
+    )
+
+
+def mixed_verdicts(
+    study: SensorStudy, second: SecondValidation, recordings: Sequence[Prepared]
+) -> tuple[Verdict, ...]:
+    """Return the verdict on every row of the mixed matrix."""
+    by_name = {one.name: one for one in study.first.sets}
+    verdicts = []
+    for axis, (name, unit) in enumerate(zip(AXES, UNITS, strict=True)):
+        chosen = second.candidates[second.best_per_axis[axis]]
+        where = f"in {second.sub_chain}"
+        own = second.left[0].axes[axis]
+        if chosen.training == WORKBENCH:
+            reason = f"the Workbench leaves least {where}: {own:.3g} {unit}"
+            verdicts.append(Verdict(name, "REFUSE", reason))
+            continue
+        if not second.unseen:
+            reason = f"not validated: the switching run is too short to hold any of it out {where}"
+            verdicts.append(Verdict(name, "REFUSE", reason))
+            continue
+        mine, workbench = (second.unseen[m].axes[axis] for m in (MIXED, WORKBENCH))
+        figure = (
+            f"{mine:.3g} {unit} left of the Workbench's {workbench:.3g} {unit} {where}, on pieces"
+            " that did not choose it"
+        )
+        known = _identifiable(by_name[chosen.training], chosen, study, recordings, axis)
+        if not mine < workbench:
+            verdicts.append(Verdict(name, "REFUSE", f"{figure}; no better than the Workbench"))
+        elif known.word == "ACCEPT":
+            verdicts.append(Verdict(name, "ACCEPT", figure, figure))
+        else:
+            verdicts.append(Verdict(name, known.word, f"{figure}; {known.reason}", figure))
+    return tuple(verdicts)
+
+
+def _identifiable(
+    one: TrainingSet,
+    chosen: Candidate,
+    study: SensorStudy,
+    recordings: Sequence[Prepared],
+    axis: int,
+) -> Verdict:
+    """Return what a training set could say of an axis at all, by the noise that it left itself."""
+    own = [
+        segment
+        for recording in recordings
+        if recording.name == one.recording
+        for segment in recording.sensors[study.channel.sensor].segments
+    ]
+    noise = residual_noise(chosen.law.coefficients, own, study)
+    problem = ScaledProblem.of(one.moments, study.channel.workbench)
+    return identifiable(excitation(problem, noise), axis)
+
+
+def residual_noise(
+    coefficients: Float[Array, "6 P"], segments: Sequence[Samples], study: SensorStudy
+) -> Noise:
+    """Return what a matrix leaves over on all recordings, aligned on each: size and memory."""
+    read = [held_out(s, coefficients, study.channel.workbench) for s in segments]
+    left = [piece.in_situ - piece.model for piece in read]
+    sd = np.sqrt(np.mean(np.concatenate(left) ** 2, axis=0))
+    least = 1e-12 * study.channel.workbench.full_scale
+    return Noise(np.maximum(sd, least), inefficiency(left))
+
+
+def widest(envelopes: Sequence[Envelope]) -> Envelope:
+    """Return the loads that any of the training sets saw."""
+    return {
+        name: (min(e[name][0] for e in envelopes), max(e[name][1] for e in envelopes))
+        for name in envelopes[0]
+    }

@@ -1,0 +1,198 @@
+"""Equation (B) as moments: what a stretch of balances adds to the normal equations of all sensors.
+
+In the coordinates of the prior (method 4) sensor s reads
+
+    w_s = C_w (r - r0) + F E T (r - r0) + F o',
+
+`r0` its mean in the recording, so that a balance is linear in the unknowns of the sensors on its
+border: the entries of E, shared by all recordings, and an offset o' for every stretch of constant
+offset. The model of the robot is not perfect either: the mass of a sub-model and its centre of mass
+are unknowns too, held near the robot description: `h (1 + m)`, its torque turned by `c x force`.
+
+No row of features is kept: per stretch, sub-model and equation the products of features are summed,
+and only sensors that share a sub-model ever meet in them.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ftcal.balances import Balance
+from ftcal.ridge import scaling_map
+from ftcal.sensor import Workbench
+from ftcal.spatial import skew
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+    from numpy import ndarray as Array
+
+CHUNK = 2048
+"""Samples whose features are held at once."""
+
+MASS_SD = 0.01
+"""Standard deviation of the mass of a sub-model about the robot description's, as a share: what
+weighing an iCub's limbs against its CAD model shows."""
+
+COM_SD = 0.005
+"""Standard deviation of each coordinate of its centre of mass [m]."""
+
+MODEL = 4
+"""Unknowns of a sub-model: its mass, and three coordinates of its centre of mass."""
+
+CELL = 1.0
+"""Length [s] of the cells whose sums of residuals tell how long they remember."""
+
+
+@dataclass(frozen=True, slots=True, order=True)
+class Segment:
+    """A stretch of one recording in which a sensor's offset is constant."""
+
+    recording: str
+    start: float
+    """Seconds since the start of the recording."""
+    stop: float
+    """Seconds since the start of the recording, exclusive."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Frame:
+    """The coordinates of one sensor."""
+
+    workbench: Workbench
+    basis: Float[Array, "P P"]
+    """T, with the temperature's scale last where it has a thermometer."""
+
+    @staticmethod
+    def of(workbench: Workbench, inputs: int) -> Frame:
+        """Return the coordinates of a sensor with `inputs` columns (channels, temperature)."""
+        return Frame(workbench, scaling_map(workbench, inputs)[:inputs, :inputs])
+
+    @property
+    def unknowns(self) -> int:
+        """Entries of E."""
+        return 6 * len(self.basis)
+
+    def coefficients(self, E: Float[Array, "6 P"]) -> Float[Array, "6 P"]:
+        """Return `[C, k]` that E stands for."""
+        found = self.workbench.full_scale[:, None] * (E @ self.basis)
+        channels = self.workbench.gain.shape[1]
+        found[:, :channels] += self.workbench.gain
+        return np.asarray(found)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Terms:
+    """One sub-model over one stretch of one recording, summed."""
+
+    stretch: Segment
+    """Where the samples are from."""
+    sub_model: str
+    sensors: tuple[str, ...]
+    segments: tuple[Segment, ...]
+    """Offset segment of each sensor."""
+    count: int
+    """Samples."""
+    products: Float[Array, "E D D"]
+    """Per equation: sum of products of `[features, target]`; features per sensor: E row by row,
+    then its six offsets, in fractions of full scale; then mass and centre of mass of the sub-model
+    in their standard deviations. The target is in N and Nm."""
+    cells: Float[Array, "B E D"]
+    """Per cell of about a second and equation: mean of `[features, target]`."""
+
+    def squares(self, unknowns: Float[Array, "D-1"]) -> Float[Array, "E"]:
+        """Return the sum of squared residuals per equation [N^2, Nm^2]."""
+        direction = np.append(-unknowns, 1.0)
+        return np.asarray(
+            np.maximum(np.einsum("d,edf,f->e", direction, self.products, direction), 0)
+        )
+
+    def cell_means(self, unknowns: Float[Array, "D-1"]) -> Float[Array, "B E"]:
+        """Return the mean residual of every cell per equation [N, Nm]."""
+        return np.asarray(self.cells @ np.append(-unknowns, 1.0))
+
+
+def summed(
+    balance: Balance,
+    recording: str,
+    frames: Mapping[str, Frame],
+    references: Mapping[str, Float[Array, "P"]],
+    segments: Mapping[str, Sequence[Segment]],
+    stretch: tuple[float, float],
+) -> list[Terms]:
+    """Return the terms of a balance within `stretch` [s], one for every set of offset segments.
+
+    `references` are r0, `segments` the offset segments of each sensor in the recording; samples in
+    none of a sensor's segments are left out.
+    """
+    edges = {float(e) for name in balance.inputs for s in segments[name] for e in (s.start, s.stop)}
+    cuts = sorted({stretch[0], stretch[1], *(e for e in edges if stretch[0] < e < stretch[1])})
+    found = []
+    for start, stop in itertools.pairwise(cuts):
+        mine = []
+        for name in balance.inputs:
+            inside = [s for s in segments[name] if s.start <= start and stop <= s.stop]
+            mine.append(inside[0] if inside else None)
+        first, last = np.searchsorted(balance.time, [start, stop])
+        held = tuple(segment for segment in mine if segment is not None)
+        if first < last and len(held) == len(mine):
+            part = balance.rows(slice(int(first), int(last)))
+            where = Segment(recording, start, stop)
+            found.append(_sum(part, where, held, frames, references))
+    return found
+
+
+def _sum(
+    balance: Balance,
+    stretch: Segment,
+    segments: tuple[Segment, ...],
+    frames: Mapping[str, Frame],
+    references: Mapping[str, Float[Array, "P"]],
+) -> Terms:
+    sensors = tuple(balance.inputs)
+    width = sum(frames[name].unknowns + 6 for name in sensors) + MODEL + 1
+    equations = balance.equations
+    span = balance.time[-1] - balance.time[0]
+    cells = max(1, round(float(span) / CELL))
+    index = np.minimum(
+        ((balance.time - balance.time[0]) / max(span, 1e-9) * cells).astype(int), cells - 1
+    )
+    products = np.zeros((equations, width, width))
+    sums = np.zeros((cells, equations, width))
+    for start in range(0, len(balance.time), CHUNK):
+        rows = slice(start, start + CHUNK)
+        table = features(balance.rows(rows), frames, references)
+        products += np.matmul(table.transpose(1, 2, 0), table.transpose(1, 0, 2))
+        opens = np.flatnonzero(np.diff(index[rows], prepend=-1))
+        sums[index[rows][opens]] += np.add.reduceat(table, opens, axis=0)
+    sums /= np.maximum(np.bincount(index, minlength=cells), 1)[:, None, None]
+    return Terms(stretch, balance.sub_model, sensors, segments, len(balance.time), products, sums)
+
+
+def features(
+    balance: Balance,
+    frames: Mapping[str, Frame],
+    references: Mapping[str, Float[Array, "P"]],
+) -> Float[Array, "N E D"]:
+    """Return `[features, target]` of every sample and equation of a balance."""
+    equations, count = balance.equations, len(balance.time)
+    target = balance.required[:, :equations]
+    columns = []
+    for name, inputs in balance.inputs.items():
+        frame = frames[name]
+        workbench = frame.workbench
+        moved = inputs - references[name]
+        X = balance.transforms[name][:, :equations]
+        read = moved[:, : workbench.gain.shape[1]] @ workbench.gain.T
+        target = target - np.einsum("nij,nj->ni", X, read)
+        lever = X * workbench.full_scale
+        y = moved @ frame.basis.T
+        columns += [(lever[..., None] * y[:, None, None, :]).reshape(count, equations, -1), lever]
+    model = np.zeros((count, 6, MODEL))
+    model[:, :, 0] = -MASS_SD * balance.required
+    model[:, 3:, 1:] = COM_SD * skew(balance.required[:, :3])
+    return np.concatenate([*columns, model[:, :equations], target[..., None]], axis=2)
