@@ -26,7 +26,7 @@ from ftcal.scenario import Scenario, read_scenario
 from ftcal.scenes import GridTake
 from ftcal.staging import stage
 from ftcal.support import standing_on
-from ftcal.synthetic import Conditions, SideBySide, Take, read_truth, simulate, write_session
+from ftcal.synthetic import TRUTH, Conditions, SideBySide, Take, read_truth, simulate, write_session
 from ftcal.urdf import read_robot
 from ftcal.workbench import read_workbench
 from small_world import robot_text
@@ -115,7 +115,7 @@ def test_tables_carry_what_yarp_trees_do(tmp_path: Path, form: str) -> None:
 def test_seed_of_the_command_line_wins(tmp_path: Path) -> None:
     made = scenario(tmp_path)
     truths = [
-        read_truth(stage(made, tmp_path / str(k), seed=seed)[0])["ft_sensor"]
+        read_truth(stage(made, tmp_path / str(k), seed=seed)[0].with_name(TRUTH))["ft_sensor"]
         for k, seed in enumerate((None, 1, 2))
     ]
     np.testing.assert_array_equal(truths[0], truths[1])

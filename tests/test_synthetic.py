@@ -22,6 +22,7 @@ from ftcal.robot import Robot
 from ftcal.sensor import SensorModel
 from ftcal.support import standing_on
 from ftcal.synthetic import (
+    TRUTH,
     Conditions,
     SensorTruth,
     Session,
@@ -403,7 +404,9 @@ def test_job_names_everything_beside_it(tmp_path: Path) -> None:
     assert held.train == ()
     assert held.test[0][1] > session.recordings[1].duration
     assert first.contact == held.contact == "base"
-    np.testing.assert_array_equal(read_truth(job.file)["ft_sensor"], only_truth(session).gain)
+    np.testing.assert_array_equal(
+        read_truth(job.file.with_name(TRUTH))["ft_sensor"], only_truth(session).gain
+    )
 
 
 def test_tilted_contact_tells_the_job_its_gravity(tmp_path: Path) -> None:
@@ -431,7 +434,9 @@ def test_session_replaces_a_session_but_nothing_else(tmp_path: Path) -> None:
     folder = tmp_path / "session"
     written(folder, arm_session(1))
     job = written(folder, arm_session(2))
-    np.testing.assert_array_equal(read_truth(job)["ft_sensor"], only_truth(arm_session(2)).gain)
+    np.testing.assert_array_equal(
+        read_truth(job.with_name(TRUTH))["ft_sensor"], only_truth(arm_session(2)).gain
+    )
     assert sorted(p.name for p in tmp_path.iterdir()) == ["arm.urdf", "session"]
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "thesis.tex").touch()
@@ -458,7 +463,7 @@ def test_folder_that_cannot_be_written_is_refused(tmp_path: Path) -> None:
 
 def test_truth_that_is_none_is_refused(tmp_path: Path) -> None:
     with pytest.raises(JobError, match=r"truth\.json: not the truth"):
-        read_truth(tmp_path / "job.toml")
+        read_truth(tmp_path / TRUTH)
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ import pytest
 from ftcal.config import read_job
 from ftcal.demonstration import write_demo
 from ftcal.pipeline import calibrate
-from ftcal.synthetic import read_truth
+from ftcal.synthetic import TRUTH, read_truth
 
 pytest.importorskip("icub_models")
 
@@ -24,7 +24,7 @@ def test_truth_lies_within_three_standard_errors_on_the_demo(tmp_path: Path) -> 
     for seed in range(SEEDS):
         job = write_demo(tmp_path / str(seed), seed=seed)
         (sensor,) = calibrate(read_job(job)).sensors
-        (truth,) = read_truth(job).values()
+        (truth,) = read_truth(job.with_name(TRUTH)).values()
         estimate = sensor.fit.estimate
         inside.append(np.abs(estimate.gain - truth) < 3.0 * estimate.standard_error)
         assert sensor.fit.excitation.rank == 6

@@ -25,11 +25,16 @@ TREE = "tree"
 
 
 def packed(record: Any) -> bytes:
-    """Return a record of dataclasses, rows, tables by name, arrays, texts and numbers as a file."""
+    """Return a record of dataclasses, rows, tables by name, arrays, texts and numbers as a file.
+
+    Raises `TypeError` for arrays of objects.
+    """
     arrays: dict[str, Any] = {}
 
     def flat(node: Any) -> Any:
         if isinstance(node, np.ndarray):
+            if node.dtype.hasobject:
+                raise TypeError("an array of objects cannot be kept: it would have to be pickled")
             name = f"a{len(arrays)}"
             arrays[name] = node
             return {"array": name}
@@ -93,7 +98,8 @@ class Shelf:
         """Return the result at `place`, or None where there is none that can be read."""
         try:
             return unpacked(place.read_bytes(), self.kinds)
-        except (OSError, ValueError, KeyError, TypeError, zipfile.BadZipFile):
+        except (OSError, ValueError, KeyError, TypeError, EOFError, RuntimeError,
+                zipfile.BadZipFile):  # fmt: skip
             return None
 
     def put(self, place: Path, record: Any) -> None:

@@ -36,6 +36,25 @@ if TYPE_CHECKING:
     from numpy import ndarray as Array
 
 
+@dataclass(frozen=True, slots=True)
+class Leftover:
+    """The external wrench that is seen where there is none, as means over the samples."""
+
+    force: float
+    """Mean length of the force [N]."""
+    torque: float
+    """Mean length of the torque [Nm]."""
+    axes: tuple[float, ...]
+    """Mean size of each component [N, Nm]."""
+
+    @staticmethod
+    def of(wrench: Float[Array, "N 6"]) -> Leftover:
+        """Return the means of a wrench."""
+        force, torque = (np.linalg.norm(half, axis=1) for half in np.hsplit(wrench, 2))
+        sizes = np.abs(wrench).mean(axis=0)
+        return Leftover(float(force.mean()), float(torque.mean()), tuple(map(float, sizes)))
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Balance:
     """Equation (B) of one sub-model, sample by sample, in the frame of its first link."""
@@ -148,10 +167,11 @@ def balances(
 ) -> tuple[Balance, ...]:
     """Return the balance of every sub-model that is free in some interval of the schedule.
 
-    `channels` cut the robot; a sample needs every sensor on its border to be usable. Sub-models with
-    joints that are not logged are left out, or enter `by_mass` with those joints at zero, where the
-    way from the contact to their sensors is logged. Readings are what a controller sees; a fit
-    takes them `smoothed`. Raises `DataError` where none is left, `RobotError` for unknown names.
+    `channels` cut the robot; a sample needs every sensor on its border to be usable. Sub-models
+    with joints that are not logged are left out, or enter `by_mass` with those joints at zero,
+    where the way from the contact to their sensors is logged. Readings are what a controller sees;
+    a fit takes them `smoothed`. Raises `DataError` where none is left, `RobotError` for unknown
+    names.
     """
     options = options or SignalOptions()
     findings = tuple(findings)
@@ -169,10 +189,13 @@ def balances(
         findings=findings,
     )
     raw = {
-        channel.sensor: _inputs(recording, channel, clock.stamps, findings, options.max_gap)
+        robot.sensor(channel.sensor).name: _inputs(
+            recording, channel, clock.stamps, findings, options.max_gap
+        )
         for channel in channels
     }
     parts: dict[str, list[Balance]] = {}
+    unknown: list[DataError] = []
     for interval in schedule.intervals:
         contact, steady = contact_motion(
             recording, interval, clock, gravity=gravity, imu=imu, options=options
@@ -182,10 +205,15 @@ def balances(
             continue
         here = replace(motion.rows(rows), time=seconds[rows])
         inside = {name: values[rows] for name, values in raw.items()}
-        for part in _in_interval(
-            robot, here, contact.rows(rows), inside, interval.touching, by_mass
-        ):
+        try:
+            some = _in_interval(robot, here, contact.rows(rows), inside, interval.touching, by_mass)
+        except DataError as error:  # of no sub-model are all joints logged
+            unknown.append(error)
+            continue
+        for part in some:
             parts.setdefault(part.sub_model, []).append(part)
+    if not parts and unknown:
+        raise DataError(f"recording {recording.name!r}: {unknown[0]}") from unknown[0]
     if not parts:
         raise DataError(
             f"recording {recording.name!r}: no sub-model is ever free with all its sensors usable"

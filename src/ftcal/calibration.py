@@ -80,7 +80,9 @@ class Prior(Record):
     """Scaled prior of secondary-matrix entries, or the paper's penalty."""
     strength: float | Row
     """kappa (fraction of full scale), or lambda; six where axes differ."""
-    chosen_by: Literal["job", "blocked cross-validation", "second validation"]
+    chosen_by: Literal[
+        "job", "blocked cross-validation", "second validation", "held-out stretches", "evidence"
+    ]
 
 
 class AxisVerdict(Record):

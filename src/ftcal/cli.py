@@ -120,6 +120,26 @@ def main() -> None:
     help="Two soles: propose who stood when, as the job's contacts (needs --robot).",
 )
 @click.option("--plot", type=TEXT, help="HTML file: what the proposal of --feet rests on.")
+@click.option(
+    "--diagnose",
+    is_flag=True,
+    help="Look for a wrong sign, swapped axes, a wrong frame, a wrong robot (needs --robot, and"
+    " --contact or --feet).",
+)
+@click.option(
+    "--contact",
+    "contacts",
+    multiple=True,
+    metavar="LINK",
+    help="For --diagnose: link that touches the world throughout; once for each, the first still.",
+)
+@click.option(
+    "--rival",
+    "rivals",
+    type=TEXT,
+    multiple=True,
+    help="For --diagnose: another URDF that may be the robot of the log; once for each.",
+)
 @as_json
 @mendable
 def inspect(
@@ -129,9 +149,17 @@ def inspect(
     zero: str | None,
     feet: tuple[str, str] | None,
     plot: Path | None,
+    *,
+    diagnose: bool,
+    contacts: tuple[str, ...],
+    rivals: tuple[Path, ...],
     machine: bool,
 ) -> None:
     """Show what is in LOG, what is wrong with it and what of it the robot knows."""
+    if diagnose and (robot is None or not (contacts or feet)):
+        raise click.UsageError("--diagnose needs --robot, and --contact or --feet")
+    if (contacts or rivals) and not diagnose:
+        raise click.UsageError("--contact and --rival need --diagnose")
     if feet is not None and robot is None:
         raise click.UsageError("--feet needs --robot")
     if plot is not None and feet is None:
@@ -153,16 +181,29 @@ def inspect(
         phases = timeline.phases
         if plot is not None:
             write_plot(plot, contact_timeline(timeline, recording.name))
+    verdict = None
+    if diagnose and model is not None:
+        from ftcal import diagnosis
+
+        verdict = diagnosis.diagnose(
+            recording,
+            model,
+            diagnosis.throughout(recording, contacts) if contacts else diagnosis.touching(phases),
+            rivals={str(path): read_robot(path) for path in rivals},
+            findings=findings,
+        )
     if machine:
         from ftcal.inspection import as_record
 
-        click.echo(json.dumps(as_record(recording, findings, model, phases), indent=1))
+        click.echo(json.dumps(as_record(recording, findings, model, phases, verdict), indent=1))
         return
     out = console()
     terminal.print_recording(out, recording, model)
     terminal.print_findings(out, [(recording.name, finding) for finding in findings])
     if phases:
         terminal.print_phases(out, phases)
+    if verdict is not None:
+        terminal.print_diagnosis(out, verdict)
 
 
 @main.command(short_help="Calibrate the sensors of a job file.")
@@ -199,6 +240,46 @@ def run_job(job: Path, output: Path | None, machine: bool, *, truth: dict[str, A
         out.print(f"report       {report}", soft_wrap=True)
         out.print(f"calibration  {report.with_name('calibration.json')}", soft_wrap=True)
     return 0 if outcome.improved else NOT_BETTER
+
+
+@main.command(short_help="Compare data sets and penalties: the paper's two validations.")
+@click.argument("job", type=TEXT)
+@click.option("-o", "--output", type=TEXT, help="Folder of the results (default: ftcal-out).")
+@click.option("--cache", type=TEXT, help="Folder of prepared recordings (default: OUTPUT/cache).")
+@click.option("--workers", type=click.IntRange(1), help="Processes (default: one a core).")
+@as_json
+@mendable
+def study(
+    job: Path, output: Path | None, cache: Path | None, workers: int | None, machine: bool
+) -> None:
+    """Train on every recording of JOB, test on every other, and compare on the switching run.
+
+    Writes study.json, study.html and calibration.json with the mixed matrices.
+    """
+    import os
+
+    from ftcal.config import read_job
+    from ftcal.report import study_metrics, write_study
+    from ftcal.study import study as run
+    from ftcal.study_tables import print_study
+
+    described = read_job(job)
+    folder = output or job.parent / (described.output or "ftcal-out")
+    with progress_bar() as progress:
+        outcome = run(
+            described,
+            shelf=cache or folder / "cache",
+            workers=workers or os.cpu_count() or 1,
+            progress=progress,
+        )
+        report = write_study(outcome, folder)
+    if machine:
+        click.echo(json.dumps(study_metrics(outcome), indent=1))
+    else:
+        out = console()
+        print_study(out, outcome)
+        out.print(f"report  {report}", soft_wrap=True)
+    sys.exit(0 if outcome.improved else NOT_BETTER)
 
 
 @main.command(short_help="Score a calibration on other recordings.")
@@ -259,6 +340,82 @@ def apply(calibration: Path, log: Path, output: Path, offset: str, like: Path | 
     click.echo(f"wrote {output}")
 
 
+@main.command(short_help="Weigh an unknown tool on a wrist sensor.")
+@click.argument("tables", type=TEXT, nargs=-1, required=True)
+@click.option("--wrench", nargs=6, metavar="FX FY FZ TX TY TZ", help="Columns in N and Nm.")
+@click.option("--rotation", nargs=9, metavar="R11 … R33", help="Columns, sensor to base, by rows.")
+@click.option("--gravity", nargs=3, metavar="GX GY GZ", help="Columns, in the sensor's frame.")
+@click.option("--acceleration", nargs=3, metavar="AX AY AZ", help="Columns of an accelerometer.")
+@click.option("--unit", type=click.Choice(["m/s^2", "g"]), help="Of gravity or acceleration.")
+@click.option("--time", default="time", show_default=True, help="Column of the stamps.")
+@click.option("--steady", type=click.FloatRange(0.0), metavar="DEG/S",
+              help="Leave rows out in which gravity turns faster.")  # fmt: skip
+@as_json
+@mendable
+def payload(
+    tables: tuple[Path, ...],
+    *,
+    wrench: tuple[str, ...] | None,
+    rotation: tuple[str, ...] | None,
+    gravity: tuple[str, ...] | None,
+    acceleration: tuple[str, ...] | None,
+    unit: Any,
+    time: str,
+    steady: float | None,
+    machine: bool,
+) -> None:
+    """Weigh the tool of TABLES: mass, centre of mass, and the offset of the sensor.
+
+    One table of still attitudes, or two that are joined on time: wrench and attitude. Columns not
+    named are found by habit: fx … tz, and gx gy gz, r11 … r33 or ax ay az.
+    """
+    import math
+
+    from ftcal.payload import estimate
+    from ftcal.payload_table import payload_metrics, print_payload
+    from ftcal.pose_tables import PoseLayout, read_poses
+    from ftcal.poses import Attitude
+
+    asked: dict[Attitude, tuple[str, ...] | None] = {
+        "rotation": rotation, "gravity": gravity, "acceleration": acceleration,
+    }  # fmt: skip
+    told = [(attitude, columns) for attitude, columns in asked.items() if columns]
+    if len(told) > 1:
+        raise click.UsageError("give one of --rotation, --gravity and --acceleration")
+    attitude, columns = told[0] if told else (None, ())
+    layout = PoseLayout(
+        wrench=wrench or (), attitude=attitude, columns=columns or (), unit=unit, time=time,
+        steady=None if steady is None else math.radians(steady),
+    )  # fmt: skip
+    poses = read_poses(tables, layout)
+    found = estimate(poses)
+    if machine:
+        click.echo(json.dumps(payload_metrics(poses, found), indent=1))
+    else:
+        print_payload(console(), poses, found)
+    sys.exit(NOT_BETTER if found.refused else 0)
+
+
+@main.command(short_help="Simulate a robot's recordings as a scenario file says.")
+@click.argument("scenario", type=TEXT)
+@click.option("-o", "--output", type=TEXT, required=True, help="Folder of the session.")
+@click.option("--seed", type=click.IntRange(min=0), help="Seed of everything random.")
+@as_json
+@mendable
+def simulate(scenario: Path, output: Path, seed: int | None, machine: bool) -> None:
+    """Simulate SCENARIO (TOML): recordings, robot, matrices, truth.json and a job.toml."""
+    from ftcal.scenario import read_scenario
+    from ftcal.staging import as_lines, as_record, stage
+
+    with progress_bar() as progress:
+        job, written = stage(read_scenario(scenario), output, seed=seed, progress=progress)
+    if machine:
+        click.echo(json.dumps(as_record(job, written), indent=1))
+        return
+    click.echo("\n".join(as_lines(written)))
+    click.echo(f"wrote {job}")
+
+
 @main.command(short_help="Simulate an iCub with a bent sensor and calibrate it.")
 @click.option(
     "-o",
@@ -274,10 +431,10 @@ def apply(calibration: Path, log: Path, output: Path, offset: str, like: Path | 
 def demo(output: Path, seed: int, machine: bool) -> None:
     """Simulate an iCub whose right leg's sensor is bent, and calibrate it from its logs."""
     from ftcal.demonstration import write_demo
-    from ftcal.synthetic import read_truth
+    from ftcal.synthetic import TRUTH, read_truth
 
     job = write_demo(output, seed=seed)
-    sys.exit(run_job(job, output, machine, truth=read_truth(job)))
+    sys.exit(run_job(job, output, machine, truth=read_truth(job.with_name(TRUTH))))
 
 
 if __name__ == "__main__":

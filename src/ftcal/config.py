@@ -87,6 +87,8 @@ class RecordingSection(Section):
     """Windows to train on, an offset each; default: all of it, unless `test` is given alone."""
     test: tuple[Window, ...] = ()
     """Windows held out for validation."""
+    breaks: dict[str, tuple[float, ...]] = {}
+    """Whole body: seconds at which the offset of a sensor steps; its name to them."""
     zero: str | None = None
     """Signal whose first sample is second 0; default: the earliest of all."""
     angle: Literal["deg", "rad"] | None = None
@@ -133,11 +135,19 @@ class RecordingSection(Section):
         """Name in tables and in the calibration."""
         return self.name or self.log.stem or str(self.log)
 
+    @property
+    def trains(self) -> bool:
+        """Whether any of it is trained on."""
+        return bool(self.train) or (self.train is None and not self.test)
+
     def schedule(self) -> ContactSchedule:
-        """Return who touches the world when."""
+        """Return who touches the world when; `JobError` where intervals overlap or end early."""
         if self.contact is not None:
             return ContactSchedule((interval(-np.inf, np.inf, self.contact),))
-        return ContactSchedule(tuple(interval(c.start, c.stop, c.link) for c in self.contacts))
+        try:
+            return ContactSchedule(tuple(interval(c.start, c.stop, c.link) for c in self.contacts))
+        except JobError as error:
+            raise JobError(f"recording {self.label!r}: {error}") from error
 
     def layout(self) -> Layout:
         """Return what the reader is told about the log."""
@@ -181,6 +191,8 @@ class SignalsSection(Section):
 class FitSection(Section):
     """How strongly the Workbench matrix is believed."""
 
+    scope: Literal["each sensor", "whole body"] = "each sensor"
+    """Each sensor from its own free limb, or all at once from every free sub-model."""
     kappa: Positive | Literal["auto"] | None = None
     """Scaled prior: expected bend of the secondary matrix, fraction of full scale."""
     penalty: NotNegative | None = Field(default=None, alias="lambda")
@@ -202,15 +214,33 @@ class FitSection(Section):
             raise ValueError("noise must be positive on every axis")
         return self
 
+    @property
+    def strength(self) -> float | None:
+        """Kappa, or None where it is to be chosen."""
+        return None if self.kappa == "auto" else self.kappa
+
     def options(self) -> FitOptions:
         """Return the options of the fit."""
         return FitOptions(
-            kappa=None if self.kappa == "auto" else self.kappa,
+            kappa=self.strength,
             penalty=self.penalty,
             noise=self.noise,
             samples_per_independent=self.samples_per_independent,
             folds=self.folds,
         )
+
+
+class WholeBodySection(Section):
+    """The fit of all sensors at once, with `[fit] scope = "whole body"`."""
+
+    strength: Literal["stretches", "evidence"] = "stretches"
+    """How kappa is chosen: by holding out stretches in turn, or by the evidence."""
+    by_mass: bool = False
+    """Whether sub-models with joints that are not logged enter by their mass (forces alone)."""
+    mass: NotNegative = 0.005
+    """Standard deviation of the mass of a sub-model, as a share of it."""
+    com: NotNegative = 0.005
+    """Standard deviation of each coordinate of its centre of mass [m]."""
 
 
 class StudySection(Section):
@@ -247,6 +277,7 @@ class Job(Section):
     recordings: Annotated[tuple[RecordingSection, ...], Field(min_length=1)]
     signals: SignalsSection = SignalsSection()
     fit: FitSection = FitSection()
+    whole_body: WholeBodySection = WholeBodySection()
     study: StudySection = StudySection()
     output: Path | None = None
     """Folder of the results; default: `ftcal-out` beside the job file."""
@@ -262,6 +293,8 @@ class Job(Section):
             if twice := sorted({name for name in names if names.count(name) > 1}):
                 raise ValueError(f"{kind} {', '.join(map(repr, twice))} appears twice; give names")
         labels = [r.label for r in self.recordings]
+        if "Workbench" in labels:
+            raise ValueError("a recording cannot be called 'Workbench'; give it another name")
         named = (*self.study.training, *filter(None, (self.study.switching,)))
         if strangers := [unknown("recording", n, labels) for n in named if n not in labels]:
             raise ValueError(f"study: {'; '.join(strangers)}")
@@ -359,6 +392,7 @@ def keys_beside(parents: Iterable[Any]) -> list[str]:
         "contacts": ContactSection,
         "signals": SignalsSection,
         "fit": FitSection,
+        "whole_body": WholeBodySection,
         "study": StudySection,
     }
     for part in parents:

@@ -6,6 +6,7 @@ from collections.abc import Iterable
 from dataclasses import asdict
 from typing import Any
 
+from ftcal.diagnosis import Diagnosis
 from ftcal.recording import Finding, Recording, Signal
 from ftcal.robot import Robot
 from ftcal.timeline import Phase
@@ -16,8 +17,12 @@ def as_record(
     findings: Iterable[Finding],
     robot: Robot | None,
     phases: Iterable[Phase] = (),
+    diagnosis: Diagnosis | None = None,
 ) -> dict[str, Any]:
-    """Return signals, findings, contact phases and, with a robot, what of it is logged."""
+    """Return signals, findings, contact phases and, with a robot, what of it is logged.
+
+    And the diagnosis, where there is one.
+    """
     kinds = {
         "joints": recording.joints,
         "channels": recording.channels,
@@ -36,6 +41,8 @@ def as_record(
         "findings": [asdict(finding) for finding in findings],
         "phases": [asdict(phase) for phase in phases],
     }
+    if diagnosis is not None:
+        record["diagnosis"] = asdict(diagnosis)
     if robot is not None:
         logged = {column for signal in recording.joints for column in signal.columns}
         record["robot"] = {

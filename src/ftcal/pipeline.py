@@ -13,7 +13,7 @@ import numpy as np
 from ftcal import logs
 from ftcal.calibration import Calibration
 from ftcal.config import Job, SensorSection
-from ftcal.errors import DataError, JobError
+from ftcal.errors import DataError, JobError, RobotError
 from ftcal.evidence import provenance, sensor_calibration
 from ftcal.health import examine
 from ftcal.one_sensor import SensorOutcome, calibrate_sensor, pair_recording
@@ -70,13 +70,13 @@ def calibrate(job: Job, *, progress: Progress = silent) -> Outcome:
 
 def ft_channel(job: Job, robot: Robot, section: SensorSection) -> FtChannel:
     """Return a sensor of the job with its Workbench; raises `RobotError` or `SensorError`."""
-    robot.sensor(section.name)
     workbench = read_workbench(
         None if section.workbench is None else job.path(section.workbench),
         full_scale=section.full_scale,
         logged=section.logged,
     )
-    return FtChannel(section.name, section.signal, workbench, section.temperature)
+    name = robot.sensor(section.name).name
+    return FtChannel(name, section.signal, workbench, section.temperature)
 
 
 def check_contacts(job: Job, robot: Robot, channels: Sequence[FtChannel]) -> None:
@@ -87,7 +87,10 @@ def check_contacts(job: Job, robot: Robot, channels: Sequence[FtChannel]) -> Non
     """
     for section in job.recordings:
         for channel in channels:
-            one_sided(robot, channel.sensor, section.schedule())
+            try:
+                one_sided(robot, channel.sensor, section.schedule())
+            except RobotError as error:
+                raise RobotError(f"recording {section.label!r}: {error}") from error
 
 
 def read_recordings(
@@ -116,7 +119,7 @@ def score_calibration(
     calibrated are a `SensorError`.
     """
     robot = read_robot(job.path(job.robot))
-    channels = [calibrated_channel(calibration, section) for section in job.sensors]
+    channels = [calibrated_channel(calibration, robot, section) for section in job.sensors]
     check_contacts(job, robot, channels)
     takes = len(job.recordings)
     steps = Steps(progress, takes * (1 + len(channels)))
@@ -142,7 +145,7 @@ def score_calibration(
     return scores
 
 
-def calibrated_channel(calibration: Calibration, section: SensorSection) -> FtChannel:
+def calibrated_channel(calibration: Calibration, robot: Robot, section: SensorSection) -> FtChannel:
     """Return a sensor of the job as its calibration knows it."""
-    known = calibration.sensor(section.name)
-    return FtChannel(section.name, section.signal, known.workbench(), section.temperature)
+    known = calibration.sensor(robot.sensor(section.name).name)
+    return FtChannel(known.sensor, section.signal, known.workbench(), section.temperature)

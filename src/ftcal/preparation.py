@@ -18,6 +18,7 @@ from ftcal.errors import DataError, JobError
 from ftcal.firmware import estimate_full_scale
 from ftcal.health import examine, logs_counts
 from ftcal.logs.columns import digest, file_sha256
+from ftcal.logs.yarp import SAMPLES
 from ftcal.offset import InSituOffset
 from ftcal.one_sensor import pair_recording, raw_offset
 from ftcal.pairing import FtChannel, one_sided
@@ -90,6 +91,7 @@ def ingredients(
 ) -> dict[str, Any]:
     """Return all that a prepared recording is made from, as plain JSON."""
     path = job.path(section.log)
+    path = path.parent if path.name == SAMPLES else path
     files = sorted(p for p in path.rglob("*") if p.is_file()) if path.is_dir() else [path]
     return {
         "ftcal": __version__,
@@ -109,7 +111,10 @@ def ingredients(
             }
             for channel in channels
         ],
-        "switching": [job.study.switching == section.label, job.study.align],
+        "switching": [
+            job.study.switching == section.label,
+            job.study.align if job.study.switching == section.label else None,
+        ],
     }  # fmt: skip
 
 
@@ -155,12 +160,12 @@ def _sensor_take(
     both = pair_recording(
         job, robot, channel, section, recording, findings, 0.0, with_attitude=True
     )
-    windows = section.train or ((both.samples.start, both.samples.stop + 1.0),)
-    segments = both.windows(windows)
+    everything = ((both.samples.start, both.samples.stop + 1.0),)
+    segments = both.windows(section.train or section.test or everything)
     if not segments:
         raise DataError(
             f"recording {recording.name!r}, sensor {channel.sensor!r}: no usable sample in any"
-            " window of `train`; widen it"
+            " window of `train` or `test`; widen it"
         )
     aligning = segments[0]
     if section.label == job.study.switching:

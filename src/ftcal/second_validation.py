@@ -16,9 +16,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ftcal.balances import Balance
+from ftcal.balances import Balance, Leftover
 from ftcal.errors import DataError
 from ftcal.first_validation import FirstValidation
+from ftcal.law import Law, aligned
 from ftcal.samples import Samples
 from ftcal.sensor import AXES, Workbench
 
@@ -37,28 +38,6 @@ steps of a leg."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Law:
-    """`w = [C, k] [r, dT] + o` of one sensor in one recording."""
-
-    coefficients: Float[Array, "6 P"]
-    """C, and k as the last column where there is a thermometer."""
-    offset: Float[Array, "6"]
-    """o [N, Nm]."""
-
-    def read(self, inputs: Float[Array, "N P"]) -> Float[Array, "N 6"]:
-        """Return the wrench [N, Nm] of channels, and temperature where there is one."""
-        return np.asarray(inputs[:, : self.coefficients.shape[1]] @ self.coefficients.T) + (
-            self.offset
-        )
-
-
-def aligned(coefficients: Float[Array, "6 P"], samples: Samples) -> Law:
-    """Return the law whose offset makes it agree with the model on `samples`: `o*` of P4."""
-    inputs = samples.rows()[:, : coefficients.shape[1]]
-    return Law(coefficients, samples.wrench.mean(axis=0) - coefficients @ inputs.mean(axis=0))
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class Candidate:
     """One matrix that was tried."""
 
@@ -74,25 +53,6 @@ class Candidate:
     def name(self) -> str:
         """Name in tables."""
         return self.training if self.training == WORKBENCH else f"{self.training}, {self.penalty:g}"
-
-
-@dataclass(frozen=True, slots=True)
-class Leftover:
-    """The external wrench that is seen where there is none, as means over the samples."""
-
-    force: float
-    """Mean length of the force [N]."""
-    torque: float
-    """Mean length of the torque [Nm]."""
-    axes: tuple[float, ...]
-    """Mean size of each component [N, Nm]."""
-
-    @staticmethod
-    def of(wrench: Float[Array, "N 6"]) -> Leftover:
-        """Return the means of a wrench."""
-        force, torque = (np.linalg.norm(half, axis=1) for half in np.hsplit(wrench, 2))
-        sizes = np.abs(wrench).mean(axis=0)
-        return Leftover(float(force.mean()), float(torque.mean()), tuple(map(float, sizes)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -176,8 +136,11 @@ def second_validation(
     chosen = choice(candidates, left, aligning)
     error = {name: law.read(inputs) - implied for name, law in chosen.items()}
     choosing = (balance.time // BLOCK) % 2 == 0
-    fair = choice(candidates, [Leftover.of(error[choosing]) for error in errors], aligning)
-    scored = inputs[~choosing], implied[~choosing]
+    unseen = {}
+    if choosing.any() and not choosing.all():
+        fair = choice(candidates, [Leftover.of(error[choosing]) for error in errors], aligning)
+        for name, law in fair.items():
+            unseen[name] = Leftover.of(law.read(inputs[~choosing]) - implied[~choosing])
     return SecondValidation(
         balance.sub_model,
         tuple(name for name in balance.inputs if name != sensor),
@@ -186,9 +149,7 @@ def second_validation(
         tuple(left),
         chosen[MIXED],
         Leftover.of(error[MIXED]),
-        {name: Leftover.of(law.read(scored[0]) - scored[1]) for name, law in fair.items()}
-        if len(scored[0])
-        else {},
+        unseen,
         balance.time,
         error,
     )

@@ -237,7 +237,10 @@ def _owners(recording: Recording, joints: Sequence[str]) -> dict[str, Signal]:
     """Return the signal that logs each of `joints`, or raise `DataError` with all faults."""
     logged = tuple(joint for signal in recording.joints for joint in signal.columns)
     empty = np.empty((0, len(logged)))
-    Motion(np.empty(0), logged, empty, empty, empty).columns(joints)
+    try:
+        Motion(np.empty(0), logged, empty, empty, empty).columns(joints)
+    except DataError as error:
+        raise DataError(f"recording {recording.name!r}: {error}") from error
     owners: dict[str, Signal] = {}
     faults = []
     for signal in recording.joints:

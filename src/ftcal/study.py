@@ -18,6 +18,7 @@ from ftcal.archive import Shelf
 from ftcal.config import Job
 from ftcal.errors import JobError, raise_all
 from ftcal.first_validation import FirstValidation, first_validation
+from ftcal.law import Law, aligned
 from ftcal.pairing import FtChannel
 from ftcal.pipeline import check_contacts, ft_channel
 from ftcal.preparation import KINDS, Prepared, prepare
@@ -28,10 +29,8 @@ from ftcal.second_validation import (
     MIXED,
     TRUTH,
     WORKBENCH,
-    Law,
     SecondValidation,
     SubChain,
-    aligned,
     judging_balance,
     second_validation,
     sub_chains,
@@ -99,7 +98,9 @@ def study(
     same_sensors(takes, channels)
     by_name = {take.name: take for take in takes}
     judging = [take.name for take in takes if take.name != job.study.switching]
-    training = job.study.training or judging
+    training = job.study.training or [
+        section.label for section in job.recordings if section.label in judging and section.trains
+    ]
     if not training:
         raise JobError(f"{job.file}: the study has no recording to train on; add one")
     run = by_name.get(job.study.switching or "")
@@ -158,7 +159,9 @@ def same_sensors(takes: Sequence[Prepared], channels: Sequence[FtChannel]) -> No
     """
     faults = []
     for channel in channels:
-        first, *others = ((take.name, take.sensors[channel.sensor].full_scale) for take in takes)
+        shown = [(take.name, take.sensors[channel.sensor].full_scale) for take in takes]
+        # what shows least is compared with what shows most
+        first, *others = sorted(shown, key=lambda one: -np.count_nonzero(one[1]))
         faults += [
             f"{channel.sensor} shows full scales {' '.join(map(str, scale))} in {name!r} but"
             f" {' '.join(map(str, first[1]))} in {first[0]!r}"

@@ -1,7 +1,8 @@
 """A study → `calibration.json`: the mixed matrix of every sensor, and how far to trust it.
 
 A row was chosen because it leaves least where nothing touches. Whether it may be used is asked of
-pieces of the switching run that did not choose it, and of what its training data could say at all.
+pieces of the switching run that did not choose it, and of what its training data could say at all:
+a row that rests on directions which nothing excited keeps the Workbench.
 """
 
 from __future__ import annotations
@@ -157,7 +158,8 @@ def mixed_verdicts(
         elif known.word == "ACCEPT":
             verdicts.append(Verdict(name, "ACCEPT", figure, figure))
         else:
-            verdicts.append(Verdict(name, known.word, f"{figure}; {known.reason}", figure))
+            # no penalty of the paper's grid holds what is not excited: noise fills it
+            verdicts.append(Verdict(name, "REFUSE", f"{figure}; {known.reason}", figure))
     return tuple(verdicts)
 
 

@@ -15,6 +15,7 @@ from rich.padding import Padding
 from rich.table import Table
 from rich.text import Text
 
+from ftcal.diagnosis import Diagnosis
 from ftcal.recording import Finding, Recording, Signal
 from ftcal.report.truth import Truth
 from ftcal.robot import Robot
@@ -203,6 +204,31 @@ def print_matches(console: Console, recording: Recording, robot: Robot) -> None:
         )
     console.print(lines)
     console.print()
+
+
+def print_diagnosis(console: Console, diagnosis: Diagnosis) -> None:
+    """Print which hypothesis explains a log best: a line for each sensor, each part, each rival."""
+    console.print(Text(f"diagnosis with robot {diagnosis.robot}", "bold"))
+    lines = Table.grid(padding=(0, 2))
+    for sensor in diagnosis.sensors:
+        lines.add_row(Text(sensor.sensor), Text(sensor.told))
+    console.print(lines)
+    made = table("free part", "misfit", "force", "of load", "torque", "of load", right=range(1, 6))
+    for part in diagnosis.parts:
+        cells = [f"{part.misfit[0]:.2f}"]
+        for left, load, unit in zip((part.force, part.torque), part.load, ("N", "Nm"), strict=True):
+            share = f"{100 * left[0] / load:.0f} %" if load > 0 else "-"
+            cells += [f"{left[0]:.3g} {unit}", share]
+        rests = f"; {len(part.resting)} joints not logged" if part.resting else ""
+        made.add_row(Text(f"{part.frame} ({', '.join(part.sensors)}{rests})"), *cells)
+    console.print(made)
+    for rival in diagnosis.rivals:
+        text = f"{rival.robot}: {rival.words}"
+        if rival.ratios is not None:
+            low, high = rival.ratios
+            text += f" (misfits {low:.2f} to {high:.2f} times as large)"
+        console.print(Text(text), soft_wrap=True)
+    console.print(Text(f"{diagnosis.word}: {diagnosis.sentence}"), soft_wrap=True)
 
 
 def print_phases(console: Console, phases: Sequence[Phase]) -> None:

@@ -34,13 +34,6 @@ if TYPE_CHECKING:
 CHUNK = 2048
 """Samples whose features are held at once."""
 
-MASS_SD = 0.01
-"""Standard deviation of the mass of a sub-model about the robot description's, as a share: what
-weighing an iCub's limbs against its CAD model shows."""
-
-COM_SD = 0.005
-"""Standard deviation of each coordinate of its centre of mass [m]."""
-
 MODEL = 4
 """Unknowns of a sub-model: its mass, and three coordinates of its centre of mass."""
 
@@ -57,6 +50,16 @@ class Segment:
     """Seconds since the start of the recording."""
     stop: float
     """Seconds since the start of the recording, exclusive."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ModelPrior:
+    """How well the robot description is believed to know the inertia of a sub-model."""
+
+    mass: float = 0.005
+    """Standard deviation of its mass, as a share: limbs are weighed one by one."""
+    com: float = 0.005
+    """Standard deviation of each coordinate of its centre of mass [m]."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -100,7 +103,7 @@ class Terms:
     products: Float[Array, "E D D"]
     """Per equation: sum of products of `[features, target]`; features per sensor: E row by row,
     then its six offsets, in fractions of full scale; then mass and centre of mass of the sub-model
-    in their standard deviations. The target is in N and Nm."""
+    in standard deviations of their prior. The target is in N and Nm."""
     cells: Float[Array, "B E D"]
     """Per cell of about a second and equation: mean of `[features, target]`."""
 
@@ -123,6 +126,7 @@ def summed(
     references: Mapping[str, Float[Array, "P"]],
     segments: Mapping[str, Sequence[Segment]],
     stretch: tuple[float, float],
+    model: ModelPrior,
 ) -> list[Terms]:
     """Return the terms of a balance within `stretch` [s], one for every set of offset segments.
 
@@ -142,7 +146,7 @@ def summed(
         if first < last and len(held) == len(mine):
             part = balance.rows(slice(int(first), int(last)))
             where = Segment(recording, start, stop)
-            found.append(_sum(part, where, held, frames, references))
+            found.append(_sum(part, where, held, frames, references, model))
     return found
 
 
@@ -152,6 +156,7 @@ def _sum(
     segments: tuple[Segment, ...],
     frames: Mapping[str, Frame],
     references: Mapping[str, Float[Array, "P"]],
+    model: ModelPrior,
 ) -> Terms:
     sensors = tuple(balance.inputs)
     width = sum(frames[name].unknowns + 6 for name in sensors) + MODEL + 1
@@ -165,7 +170,7 @@ def _sum(
     sums = np.zeros((cells, equations, width))
     for start in range(0, len(balance.time), CHUNK):
         rows = slice(start, start + CHUNK)
-        table = features(balance.rows(rows), frames, references)
+        table = features(balance.rows(rows), frames, references, model)
         products += np.matmul(table.transpose(1, 2, 0), table.transpose(1, 0, 2))
         opens = np.flatnonzero(np.diff(index[rows], prepend=-1))
         sums[index[rows][opens]] += np.add.reduceat(table, opens, axis=0)
@@ -177,6 +182,7 @@ def features(
     balance: Balance,
     frames: Mapping[str, Frame],
     references: Mapping[str, Float[Array, "P"]],
+    model: ModelPrior,
 ) -> Float[Array, "N E D"]:
     """Return `[features, target]` of every sample and equation of a balance."""
     equations, count = balance.equations, len(balance.time)
@@ -192,7 +198,7 @@ def features(
         lever = X * workbench.full_scale
         y = moved @ frame.basis.T
         columns += [(lever[..., None] * y[:, None, None, :]).reshape(count, equations, -1), lever]
-    model = np.zeros((count, 6, MODEL))
-    model[:, :, 0] = -MASS_SD * balance.required
-    model[:, 3:, 1:] = COM_SD * skew(balance.required[:, :3])
-    return np.concatenate([*columns, model[:, :equations], target[..., None]], axis=2)
+    inertia = np.zeros((count, 6, MODEL))
+    inertia[:, :, 0] = -model.mass * balance.required
+    inertia[:, 3:, 1:] = model.com * skew(balance.required[:, :3])
+    return np.concatenate([*columns, inertia[:, :equations], target[..., None]], axis=2)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -142,11 +143,13 @@ def block_sums(
     return np.concatenate(new), np.concatenate(old)
 
 
-def resampled(blocks: int, generator: np.random.Generator) -> Float[Array, "R B"]:
-    """Return how often each block is drawn in each bootstrap resample."""
-    return generator.multinomial(blocks, np.full(blocks, 1.0 / blocks), size=RESAMPLES).astype(
-        np.float64
-    )
+@lru_cache(maxsize=8)
+def resampled(blocks: int, seed: int) -> Float[Array, "R B"]:
+    """Return how often each block is drawn in each bootstrap resample; kept, not to be changed."""
+    generator = np.random.default_rng(seed)
+    drawn = generator.multinomial(blocks, np.full(blocks, 1.0 / blocks), size=RESAMPLES)
+    drawn.flags.writeable = False
+    return drawn
 
 
 def bootstrap_interval(
@@ -188,22 +191,18 @@ def score(
     """
     new, old = block_sums(pieces, block)
     model = np.concatenate([piece.model for piece in pieces])
-    readings = [(piece.in_situ, piece.workbench, piece.model) for piece in pieces]
+    absolute, spread = np.zeros((2, 6)), np.zeros((2, 6))
+    for piece in pieces:
+        for which, reading in enumerate((piece.in_situ, piece.workbench)):
+            absolute[which] += np.abs(reading - piece.model).sum(axis=0)
+            spread[which] += ((reading - reading.mean(axis=0)) ** 2).sum(axis=0)
     table = {}
-    weights = resampled(len(new), np.random.default_rng(seed))
+    weights = resampled(len(new), seed)
     for name, columns in GROUPS.items():
         squares = new[:, columns].sum(axis=1), old[:, columns].sum(axis=1)
         rms, workbench_rms = (float(np.sqrt(s.sum() / len(model))) for s in squares)
-        absolute = [
-            sum(float(np.abs(r[which] - r[2])[:, columns].sum()) for r in readings)
-            for which in (0, 1)
-        ]
-        spread = [
-            sum(
-                float(((r[which] - r[which].mean(axis=0))[:, columns] ** 2).sum()) for r in readings
-            )
-            for which in (0, 1)
-        ]
+        mine, whole = (float(one[columns].sum()) for one in absolute)
+        moved, reference = (float(one[columns].sum()) for one in spread)
         met = magnitude(model[:, columns])
         low, high = trained[name]
         table[name] = Score(
@@ -213,8 +212,8 @@ def score(
             workbench_rms,
             percentage(rms, workbench_rms),
             bootstrap_interval(*squares, weights),
-            percentage(*absolute),
-            float(np.sqrt(spread[0] / spread[1])) if spread[1] > 0 else float("inf"),
+            percentage(mine, whole),
+            float(np.sqrt(moved / reference)) if reference > 0 else float("inf"),
             (low, high),
             (float(met.min()), float(met.max())),
             float(np.mean((met < low) | (met > high))),

@@ -20,7 +20,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
@@ -51,6 +51,12 @@ ROUNDS = 6
 
 LEAST_SHARE = 0.1
 """Independent samples less parameters spent are at least this share of the former."""
+
+AGREED = 4
+"""Rounds at most until the strength of the prior and the noise agree."""
+
+Strength = Literal["stretches", "evidence"]
+"""How the strength of the prior is chosen."""
 
 Group = tuple[str, str]
 """Sub-model, and `force` or `torque`: equations that share one noise."""
@@ -227,6 +233,23 @@ def solve(
     return covariance @ normal.pull(noise), covariance
 
 
+def path(
+    normal: Normal, noise: Mapping[Group, GroupNoise], kappas: Float[Array, "L"]
+) -> Float[Array, "L U"]:
+    """Return the unknowns for every prior strength, from one eigendecomposition.
+
+    Offsets and inertia are eliminated first (Schur complement): only the entries of E are held.
+    """
+    held = normal.unknowns.prior
+    A = normal.information(noise) + np.diag(normal.unknowns.precision(np.inf))
+    b = normal.pull(noise)
+    cross = np.linalg.solve(A[held:, held:], np.column_stack([A[held:, :held], b[held:]]))
+    d, V = np.linalg.eigh(A[:held, :held] - A[:held, held:] @ cross[:, :-1])
+    pulled = V.T @ (b[:held] - A[:held, held:] @ cross[:, -1])
+    E = (pulled / (np.maximum(d, 0.0) + 1.0 / np.asarray(kappas)[:, None] ** 2)) @ V.T
+    return np.hstack([E, cross[:, -1] - E @ cross[:, :-1].T])
+
+
 def measured_noise(
     terms: Sequence[Terms], normal: Normal, kappa: float = WEAK_KAPPA
 ) -> dict[Group, GroupNoise]:
@@ -335,8 +358,7 @@ def choose_kappa(
         rest = [one for one in terms if all(one is not other for other in held)]
         normal = Normal.of(rest, Unknowns.of(rest, frames))
         known = {g: noise[g] for g in normal.products}
-        for k, kappa in enumerate(kappas):
-            theta, _ = solve(normal, known, float(kappa))
+        for k, theta in enumerate(path(normal, known, kappas)):
             error[k, h] = held_out(held, normal.unknowns, theta, noise)
     score = np.log(np.maximum(error, np.finfo(float).tiny)).mean(axis=1)
     best = int(np.flatnonzero(score <= score.min() + 0.01)[-1])
@@ -400,20 +422,34 @@ def maximise_evidence(
 
 
 def fit_all(
-    terms: Sequence[Terms], frames: Mapping[str, Frame], *, kappa: float | None = None
+    terms: Sequence[Terms],
+    frames: Mapping[str, Frame],
+    *,
+    kappa: float | None = None,
+    strength: Strength = "stretches",
 ) -> tuple[Posterior, Choice | None]:
-    """Return the fit of all sensors, its prior strength by held-out stretches unless given.
+    """Return the fit of all sensors, and what holding out stretches saw.
 
-    Raises `DataError` where there is nothing to fit.
+    Without a `kappa` its strength is chosen by held-out `stretches` (where there are two) or by the
+    `evidence`; noise is that of a fit of the chosen strength. Raises `DataError` where there is
+    nothing to fit.
     """
     if not terms:
         raise DataError("no balance of any free sub-model is left to train on")
-    unknowns = Unknowns.of(terms, frames)
-    normal = Normal.of(terms, unknowns)
-    noise = measured_noise(terms, normal)
+    normal = Normal.of(terms, Unknowns.of(terms, frames))
     choice = None
-    if kappa is None:
-        choice = choose_kappa(terms, frames, noise)
-        kappa = choice.chosen
-    theta, covariance = solve(normal, noise, kappa)
-    return Posterior(unknowns, theta, covariance, kappa, noise), choice
+    held = WEAK_KAPPA if kappa is None else kappa
+    for _ in range(AGREED):
+        noise = measured_noise(terms, normal, held)
+        if kappa is not None:
+            break
+        before = held
+        if strength == "stretches" and len(stretches_of(terms)) > 1:
+            choice = choose_kappa(terms, frames, noise)
+            held = choice.chosen
+        else:
+            held = maximise_evidence(normal, noise)
+        if abs(held - before) < 0.1 * before:
+            break
+    theta, covariance = solve(normal, noise, held)
+    return Posterior(normal.unknowns, theta, covariance, held, noise), choice

@@ -7,6 +7,12 @@ cost more than the calibration. The copy of plotly.js inside the report draws th
 from ftcal.plots.figure import POINTS, Figure
 from ftcal.plots.health import health_timeline
 from ftcal.plots.knowledge import directions, prior_curve, truth_maps
+from ftcal.plots.validation import (
+    elsewhere_map,
+    leftover_in_time,
+    matrices_in_space,
+    truth_distances,
+)
 from ftcal.plots.wrench import (
     Piece,
     forces_in_space,
@@ -21,12 +27,16 @@ __all__ = [
     "Figure",
     "Piece",
     "directions",
+    "elsewhere_map",
     "forces_in_space",
     "health_timeline",
+    "leftover_in_time",
+    "matrices_in_space",
     "prior_curve",
     "residual_spread",
     "residuals_in_time",
     "smoothing_effect",
+    "truth_distances",
     "truth_maps",
     "wrench_in_time",
 ]

@@ -13,10 +13,28 @@ import numpy as np
 
 from ftcal.errors import SensorError
 from ftcal.one_sensor import SensorOutcome
+from ftcal.sensor import Workbench
 
 if TYPE_CHECKING:
     from jaxtyping import Float
     from numpy import ndarray as Array
+
+
+def check_shape(sensor: str, gain: Float[Array, "6 K"], workbench: Workbench) -> None:
+    """Raise `SensorError` where a true gain is not of the shape of the Workbench matrix."""
+    if gain.shape != workbench.gain.shape:
+        raise SensorError(
+            f"truth of sensor {sensor!r} has shape {gain.shape}, its Workbench"
+            f" {workbench.gain.shape}; give the gain C of `w = C r + o`"
+        )
+
+
+def departure(
+    gain: Float[Array, "6 K"], reference: Float[Array, "6 K"], workbench: Workbench
+) -> Float[Array, "6 K"]:
+    """Return `E = F^-1 (C - C_ref) T^-1`: how far C is from C_ref, fractions of full scale."""
+    scaled = (gain - reference) / workbench.full_scale[:, None]
+    return np.asarray(scaled @ np.linalg.inv(workbench.scaling))
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,19 +52,15 @@ class Truth:
     def of(outcome: SensorOutcome, gain: Float[Array, "6 K"]) -> Truth:
         """Return the fit of a sensor beside its true gain; `SensorError` where shapes differ."""
         workbench, fitted = outcome.channel.workbench, outcome.fit.estimate
-        if gain.shape != workbench.gain.shape:
-            raise SensorError(
-                f"truth of sensor {outcome.sensor.name!r} has shape {gain.shape}, its Workbench"
-                f" {workbench.gain.shape}; give the gain C of `w = C r + o`"
-            )
+        check_shape(outcome.sensor.name, gain, workbench)
         channels = gain.shape[1]
         scale = workbench.full_scale
         back = np.linalg.inv(workbench.scaling)
         covariance = back.T @ fitted.covariance[:, :channels, :channels] @ back
         variance = np.diagonal(covariance, axis1=1, axis2=2)
         return Truth(
-            (gain - workbench.gain) / scale[:, None] @ back,
-            (fitted.gain - workbench.gain) / scale[:, None] @ back,
+            departure(gain, workbench.gain, workbench),
+            departure(fitted.gain, workbench.gain, workbench),
             np.sqrt(np.maximum(variance, 0.0)) / scale[:, None],
         )
 

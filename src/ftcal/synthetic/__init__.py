@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from ftcal.synthetic.conditions import Conditions
 from ftcal.synthetic.faults import Brush, Faults, OffsetStep, Saturation
-from ftcal.synthetic.folder import Form, read_truth, write_session
+from ftcal.synthetic.folder import TRUTH, Form, read_truth, write_session
 from ftcal.synthetic.inertia import perturbed
 from ftcal.synthetic.limbs import SideBySide
 from ftcal.synthetic.load import felt
@@ -24,6 +24,7 @@ from ftcal.synthetic.session import SensorTruth, Session, simulate
 from ftcal.synthetic.take import Take
 
 __all__ = [
+    "TRUTH",
     "Brush",
     "Conditions",
     "Faults",

@@ -69,12 +69,11 @@ def write_session(session: Session, folder: Path, *, urdf: Path, form: Form = "y
     return folder / JOB
 
 
-def read_truth(job: Path) -> dict[str, Float[Array, "6 6"]]:
-    """Return the true gain C of each sensor of a job that `write_session` wrote.
+def read_truth(file: Path) -> dict[str, Float[Array, "6 6"]]:
+    """Return the true gain C of each sensor from the truth that `write_session` wrote.
 
-    Raises `JobError` where there is no truth beside the job.
+    Raises `JobError` where the file is none.
     """
-    file = job.with_name(TRUTH)
     try:
         sensors = json.loads(file.read_text(encoding="utf-8"))["sensors"]
         return {

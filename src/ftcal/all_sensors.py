@@ -1,0 +1,468 @@
+"""All sensors at once, start to end: balance, fit, hold out, judge.
+
+The counterpart of `one_sensor` for `[fit] scope = "whole body"`: every equation that the recordings
+contain (`balances`), one fit (`whole_body`), and for every sensor the same scores and verdicts.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ftcal.balances import Balance, Leftover, balances, smoothed
+from ftcal.config import Job, RecordingSection
+from ftcal.errors import DataError
+from ftcal.law import Law
+from ftcal.noise import inefficiency
+from ftcal.pairing import FtChannel, Windows, apart
+from ftcal.progress import Steps
+from ftcal.recording import Finding, Recording
+from ftcal.ridge import Estimate
+from ftcal.robot import FtSensor, Robot
+from ftcal.sensor import AXES
+from ftcal.terms import Frame, ModelPrior, Segment, Terms, summed
+from ftcal.validate import Envelope, HeldOut, Scores, load_envelope, score
+from ftcal.verdict import Verdict, weigh
+from ftcal.whole_body import (
+    NO_BEND,
+    Choice,
+    Normal,
+    Posterior,
+    Unknowns,
+    fit_all,
+    solve,
+    stretches_of,
+)
+
+if TYPE_CHECKING:
+    from jaxtyping import Float
+    from numpy import ndarray as Array
+
+LEAST_SHARE = 0.5
+"""Share of the data in a direction below which the prior has the say there."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BalancedTake:
+    """One recording: its balances, and where they train and are held out."""
+
+    recording: str
+    balances: tuple[Balance, ...]
+    references: dict[str, Float[Array, "P"]]
+    """r0 of each sensor: its mean."""
+    segments: dict[str, tuple[Segment, ...]]
+    """Offset segments of each sensor."""
+    train: tuple[tuple[float, float], ...]
+    """Stretches trained on: windows cut by the intervals of the schedule [s]."""
+    test: tuple[tuple[float, float], ...]
+    """Stretches held out."""
+
+    def span(self, segment: Segment) -> tuple[float, float]:
+        """Return first and last second of a segment that the balances hold."""
+        time = np.concatenate([balance.time for balance in self.balances])
+        inside = time[(time >= segment.start) & (time < segment.stop)]
+        return float(inside.min()), float(np.nextafter(inside.max(), np.inf))
+
+    def terms(self, frames: Mapping[str, Frame], model: ModelPrior) -> list[Terms]:
+        """Return what the training stretches add to the normal equations."""
+        return [
+            term
+            for balance in self.balances
+            for stretch in self.train
+            for term in summed(
+                balance, self.recording, frames, self.references, self.segments, stretch, model
+            )
+        ]
+
+    def laws(
+        self,
+        unknowns: Unknowns,
+        theta: Float[Array, "U"],
+        frames: Mapping[str, Frame],
+        stretch: tuple[float, float],
+    ) -> dict[str, Law]:
+        """Return the law of every sensor during a stretch; an offset not fitted is left at r0."""
+        found = {}
+        for name, frame in frames.items():
+            if name in unknowns.entries and name in self.references:
+                E = theta[unknowns.entries[name]].reshape(6, -1)
+                C = frame.coefficients(E)
+                o = np.zeros(6)
+                for segment in self.segments[name]:
+                    known = (name, segment) in unknowns.places
+                    if known and segment.start <= stretch[0] and stretch[1] <= segment.stop:
+                        o = frame.workbench.full_scale * theta[unknowns.places[name, segment]]
+                found[name] = Law(C, o - C @ self.references[name])
+        return found
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SensorResult:
+    """What the fit of all found out about one sensor."""
+
+    sensor: FtSensor
+    channel: FtChannel
+    fitted: Estimate
+    estimate: Estimate
+    """With refused rows put back to the Workbench: what is deployed."""
+    share: Float[Array, "6 P"]
+    """Per row of C and direction of the channels (fractions of full scale): how much of the entry
+    is the data's, the rest is the prior's."""
+    scores: Scores
+    """On held-out stretches, against what its neighbours and the model imply."""
+    envelope: Envelope
+    """Wrenches that it read in training."""
+    verdicts: tuple[Verdict, ...]
+    noise: Float[Array, "6"]
+    """What its judging sub-models leave over on held-out stretches [N, Nm], RMS."""
+    inefficiency: Float[Array, "6"]
+    """Samples that count as one there."""
+
+
+@dataclass(frozen=True, slots=True)
+class Residual:
+    """What is left over of one sub-model in one stretch, as a controller would see it."""
+
+    sub_model: str
+    sensors: tuple[str, ...]
+    recording: str
+    start: float
+    stop: float
+    held_out: bool
+    samples: int
+    equations: int
+    """Six, or three where the sub-model enters by its mass."""
+    workbench: Leftover
+    """With the Workbench matrices and the offsets that suit them best."""
+    whole_body: Leftover
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WholeBody:
+    """The fit of all sensors with what it was made of and how it does."""
+
+    posterior: Posterior
+    choice: Choice | None
+    frames: dict[str, Frame]
+    takes: tuple[BalancedTake, ...]
+    before: Float[Array, "U"]
+    """The unknowns with every matrix at its Workbench: what everything is compared with."""
+    sensors: tuple[SensorResult, ...]
+    residuals: tuple[Residual, ...]
+    samples: int
+    """Samples of all balances trained on."""
+
+
+def calibrate_all(
+    job: Job,
+    robot: Robot,
+    channels: Sequence[FtChannel],
+    recordings: Sequence[Recording],
+    findings: Sequence[Sequence[Finding]],
+    steps: Steps,
+) -> WholeBody:
+    """Return the fit of all sensors of a job to all its recordings.
+
+    Raises `DataError` where no free sub-model is left to train on or nothing can be held out.
+    """
+    frames = {
+        channel.sensor: Frame.of(
+            channel.workbench,
+            channel.workbench.gain.shape[1] + (channel.temperature is not None),
+        )
+        for channel in channels
+    }
+    takes = []
+    for section, recording, found in zip(job.recordings, recordings, findings, strict=True):
+        steps.begin(f"balancing {section.label}")
+        takes.append(balanced(job, robot, channels, section, recording, found))
+    model = ModelPrior(mass=job.whole_body.mass, com=job.whole_body.com)
+    terms = [term for take in takes for term in take.terms(frames, model)]
+    steps.begin("fitting all sensors")
+    posterior, choice = fit_all(
+        terms, frames, kappa=job.fit.strength, strength=job.whole_body.strength
+    )
+    steps.begin("holding out stretches")
+    normal = Normal.of(terms, posterior.unknowns)
+    before, _ = solve(normal, posterior.noise, NO_BEND)
+    predicted = list(predictions(takes, frames, terms, posterior, before))
+    if not predicted:
+        raise DataError(
+            "nothing is held out: name `test` windows, or train on two stretches or more"
+        )
+    sensors = tuple(
+        sensor_result(robot, channel, frames, takes, predicted, posterior)
+        for channel in channels
+        if channel.sensor in posterior.unknowns.entries
+    )
+    return WholeBody(
+        posterior,
+        choice,
+        frames,
+        tuple(takes),
+        before,
+        sensors,
+        tuple(residuals(takes, frames, posterior, before)),
+        sum(term.count for term in terms),
+    )
+
+
+def balanced(
+    job: Job,
+    robot: Robot,
+    channels: Sequence[FtChannel],
+    section: RecordingSection,
+    recording: Recording,
+    findings: Sequence[Finding],
+) -> BalancedTake:
+    """Return the smoothed balances of one recording and its stretches."""
+    options = job.signals.options()
+    raw = balances(
+        recording,
+        robot,
+        channels,
+        section.schedule(),
+        gravity=section.gravity,
+        imu=section.imu,
+        findings=findings,
+        options=options,
+        by_mass=job.whole_body.by_mass,
+    )
+    found = [one for balance in raw if (one := smoothed(balance, options)) is not None]
+    inputs: dict[str, list[Array]] = {}
+    for balance in found:
+        for name, values in balance.inputs.items():
+            inputs.setdefault(name, []).append(values)
+    spans = [(i.start, i.stop) for i in section.schedule().intervals]
+    train: Windows = ((-np.inf, np.inf),) if section.train is None else section.train
+    if section.train is None and section.test:
+        train = ()
+    held = apart(section.test, train, job.signals.smoothing)
+    return BalancedTake(
+        recording.name,
+        tuple(found),
+        {name: np.concatenate(parts).mean(axis=0) for name, parts in inputs.items()},
+        {name: segments(section, name) for name in inputs},
+        both(spans, train),
+        both(spans, held),
+    )
+
+
+def segments(section: RecordingSection, sensor: str) -> tuple[Segment, ...]:
+    """Return the offset segments of a sensor in a recording: cut where the job says it steps."""
+    edges = [-np.inf, *section.breaks.get(sensor, ()), np.inf]
+    return tuple(Segment(section.label, a, b) for a, b in itertools.pairwise(edges))
+
+
+def both(spans: Windows, windows: Windows) -> tuple[tuple[float, float], ...]:
+    """Return the parts of `windows` inside `spans`, in order."""
+    parts = [(max(a, c), min(b, d)) for a, b in spans for c, d in windows]
+    return tuple(sorted((a, b) for a, b in parts if b > a))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Prediction:
+    """A held-out stretch of a sub-model, read by laws that never saw it."""
+
+    take: BalancedTake
+    balance: Balance
+    workbench: dict[str, Law]
+    whole_body: dict[str, Law]
+
+
+def predictions(
+    takes: Sequence[BalancedTake],
+    frames: Mapping[str, Frame],
+    terms: Sequence[Terms],
+    posterior: Posterior,
+    before: Float[Array, "U"],
+) -> Iterator[Prediction]:
+    """Yield the test windows read by the fit; without any, every stretch read by the others."""
+    if any(take.test for take in takes):
+        for take in takes:
+            for stretch in take.test:
+                laws = [take.laws(posterior.unknowns, t, frames, stretch)
+                        for t in (before, posterior.theta)]  # fmt: skip
+                yield from _within(take, stretch, *laws)
+        return
+    by_name = {take.recording: take for take in takes}
+    for (name, _), held in stretches_of(terms).items():
+        rest = [one for one in terms if all(one is not other for other in held)]
+        if not rest:
+            continue
+        unknowns = Unknowns.of(rest, frames)
+        normal = Normal.of(rest, unknowns)
+        noise = {group: posterior.noise[group] for group in normal.products}
+        take = by_name[name]
+        stretch = (held[0].stretch.start, max(one.stretch.stop for one in held))
+        laws = [take.laws(unknowns, solve(normal, noise, kappa)[0], frames, stretch)
+                for kappa in (NO_BEND, posterior.kappa)]  # fmt: skip
+        yield from _within(take, stretch, *laws)
+
+
+def _within(
+    take: BalancedTake,
+    stretch: tuple[float, float],
+    workbench: dict[str, Law],
+    whole_body: dict[str, Law],
+) -> Iterator[Prediction]:
+    for balance in take.balances:
+        first, last = np.searchsorted(balance.time, stretch)
+        if last - first > 1 and set(balance.inputs) <= workbench.keys():
+            part = balance.rows(slice(int(first), int(last)))
+            yield Prediction(take, part, workbench, whole_body)
+
+
+def sensor_result(
+    robot: Robot,
+    channel: FtChannel,
+    frames: Mapping[str, Frame],
+    takes: Sequence[BalancedTake],
+    predicted: Sequence[Prediction],
+    posterior: Posterior,
+) -> SensorResult:
+    """Return what is known of one sensor, judged where its neighbours say what it should read."""
+    name, frame = channel.sensor, frames[channel.sensor]
+    fitted, share = estimate_of(posterior, name, frame)
+    envelope = load_envelope(read_in_training(takes, posterior, frames, name))
+    pieces = [held_out_piece(one, name) for one in predicted if judges(one.balance, name)]
+    if not pieces:
+        raise DataError(
+            f"sensor {name!r}: no held-out stretch beside it has all six equations; name other"
+            " `test` windows"
+        )
+    scores = score("held-out stretches", pieces, envelope)
+    verdicts = tuple(
+        weigh(
+            known_of(axis, share[i]),
+            scores.by_name[axis],
+            scores.kind,
+            float(frame.workbench.full_scale[i]),
+            True,
+        )
+        for i, axis in enumerate(AXES)
+    )
+    left = np.concatenate([piece.in_situ - piece.model for piece in pieces])
+    keep = np.array([not verdict.use for verdict in verdicts])
+    gain = np.where(keep[:, None], frame.workbench.gain, fitted.gain)
+    k = fitted.temperature_gain
+    deployed = Estimate(gain, None if k is None else np.where(keep, 0.0, k), fitted.covariance)
+    return SensorResult(
+        robot.sensor(name),
+        channel,
+        fitted,
+        deployed,
+        share,
+        scores,
+        envelope,
+        verdicts,
+        np.sqrt(np.mean(left**2, axis=0)),
+        inefficiency([piece.in_situ - piece.model for piece in pieces]),
+    )
+
+
+def estimate_of(
+    posterior: Posterior, sensor: str, frame: Frame
+) -> tuple[Estimate, Float[Array, "6 P"]]:
+    """Return the estimate of one sensor with the covariance of its rows, and the data's share."""
+    width = len(frame.basis)
+    place = posterior.unknowns.entries[sensor]
+    block = posterior.covariance[place, place].reshape(6, width, 6, width)
+    rows = np.stack([block[i, :, i, :] for i in range(6)])
+    scale = frame.workbench.full_scale
+    covariance = scale[:, None, None] ** 2 * (frame.basis.T @ rows @ frame.basis)
+    found = frame.coefficients(posterior.entries(sensor))
+    channels = frame.workbench.gain.shape[1]
+    k = found[:, channels] if width > channels else None
+    share = 1.0 - np.diagonal(rows, axis1=1, axis2=2) / posterior.kappa**2
+    return Estimate(found[:, :channels], k, covariance), np.clip(share, 0.0, 1.0)
+
+
+def known_of(axis: str, share: Float[Array, "P"]) -> Verdict:
+    """Return what the data could say of a row: the directions in which the prior has the say."""
+    names = (
+        (*AXES, "temperature")
+        if len(share) in (6, 7)
+        else tuple(f"channel {i + 1}" for i in range(len(share)))
+    )
+    weak = [n for n, s in zip(names, share, strict=False) if s < LEAST_SHARE]
+    if not weak:
+        return Verdict(axis, "ACCEPT", "the data speak in every direction")
+    return Verdict(axis, "PARTIAL", f"prior outweighs the data along {', '.join(weak)}")
+
+
+def judges(balance: Balance, sensor: str) -> bool:
+    """Return whether a sub-model says all six components that a sensor should read."""
+    return sensor in balance.inputs and not balance.by_mass
+
+
+def held_out_piece(one: Prediction, sensor: str) -> HeldOut:
+    """Return a stretch as the sensor and its neighbours read it, each aligned to what is implied.
+
+    What is implied depends on the matrices of the neighbours: the errors are those of both.
+    """
+    time = one.balance.time
+    errors = []
+    for laws in (one.whole_body, one.workbench):
+        readings = {name: laws[name].read(inputs) for name, inputs in one.balance.inputs.items()}
+        implied = one.balance.implied(sensor, readings)
+        error = readings[sensor] - implied
+        errors.append((implied, error - error.mean(axis=0)))
+    (model, new), (_, old) = errors
+    return HeldOut(
+        one.take.recording, float(time[0]), float(time[-1]), time, model, model + old, model + new
+    )
+
+
+def read_in_training(
+    takes: Sequence[BalancedTake], posterior: Posterior, frames: Mapping[str, Frame], sensor: str
+) -> Float[Array, "N 6"]:
+    """Return what a sensor reads with its new matrix in all stretches trained on [N, Nm]."""
+    parts = [np.zeros((0, 6))]
+    for take in takes:
+        for stretch in take.train:
+            laws = take.laws(posterior.unknowns, posterior.theta, frames, stretch)
+            for balance in take.balances:
+                if sensor in balance.inputs and sensor in laws:
+                    first, last = np.searchsorted(balance.time, stretch)
+                    parts.append(laws[sensor].read(balance.inputs[sensor][first:last]))
+                    break
+    return np.concatenate(parts)
+
+
+def residuals(
+    takes: Sequence[BalancedTake],
+    frames: Mapping[str, Frame],
+    posterior: Posterior,
+    before: Float[Array, "U"],
+) -> Iterator[Residual]:
+    """Yield what is left over of every sub-model in every stretch, before and after."""
+    for take in takes:
+        for held, stretches in ((False, take.train), (True, take.test)):
+            for stretch in stretches:
+                old, new = (
+                    take.laws(posterior.unknowns, theta, frames, stretch)
+                    for theta in (before, posterior.theta)
+                )
+                for one in _within(take, stretch, old, new):
+                    left = [
+                        Leftover.of(one.balance.residual(
+                            {n: laws[n].read(x) for n, x in one.balance.inputs.items()}
+                        ))
+                        for laws in (old, new)
+                    ]  # fmt: skip
+                    yield Residual(
+                        one.balance.sub_model,
+                        tuple(one.balance.inputs),
+                        take.recording,
+                        float(one.balance.time[0]),
+                        float(one.balance.time[-1]),
+                        held,
+                        len(one.balance.time),
+                        one.balance.equations,
+                        *left,
+                    )

@@ -1,0 +1,159 @@
+"""All sensors of a robot at once, on one page: logs → balances → fit → calibration.
+
+`calibrate_whole_body(job)` is what `ftcal calibrate` runs with `[fit] scope = "whole body"`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ftcal.all_sensors import SensorResult, WholeBody, both, calibrate_all
+from ftcal.calibration import Calibration, Offset, Prior, SensorCalibration
+from ftcal.config import Job
+from ftcal.evidence import acted_link, frame_name, health_findings, provenance, verdict_records
+from ftcal.pairing import FtChannel
+from ftcal.pipeline import ft_channel, read_recordings
+from ftcal.progress import Progress, Steps, silent
+from ftcal.recording import Finding, Recording
+from ftcal.robot import Robot
+from ftcal.urdf import read_robot
+from ftcal.weighing import Weighing, weighed
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WholeOutcome:
+    """What one job gave, all sensors at once."""
+
+    job: Job
+    robot: Robot
+    recordings: tuple[Recording, ...]
+    findings: tuple[tuple[str, Finding], ...]
+    """Recording and finding, in order."""
+    fit: WholeBody
+    weighings: tuple[Weighing, ...]
+    calibration: Calibration
+
+    @property
+    def improved(self) -> bool:
+        """Whether any axis of any sensor beats its Workbench on held-out stretches."""
+        return any(verdict.use for sensor in self.fit.sensors for verdict in sensor.verdicts)
+
+
+def calibrate_whole_body(job: Job, *, progress: Progress = silent) -> WholeOutcome:
+    """Return the calibration of all sensors of the job from one fit.
+
+    Raises `FtcalError` with one line that a user can act on; nothing is written.
+    """
+    robot = read_robot(job.path(job.robot))
+    channels = [ft_channel(job, robot, section) for section in job.sensors]
+    steps = Steps(progress, 2 * len(job.recordings) + 3)
+    recordings, findings = read_recordings(job, channels, steps)
+    fit = calibrate_all(job, robot, channels, recordings, findings, steps)
+    steps.begin("writing")
+    flat = tuple((r.name, f) for r, found in zip(recordings, findings, strict=True) for f in found)
+    calibration = Calibration(
+        robot=robot.name,
+        sensors=[sensor_record(job, fit, sensor, flat) for sensor in fit.sensors],
+        provenance=provenance(job, robot, [recording.digest for recording in recordings]),
+    )
+    weighings = tuple(weighings_of(job, robot, channels, fit))
+    return WholeOutcome(job, robot, tuple(recordings), flat, fit, weighings, calibration)
+
+
+def weighings_of(
+    job: Job, robot: Robot, channels: Sequence[FtChannel], fit: WholeBody
+) -> Iterator[Weighing]:
+    """Yield the mass of the robot in every interval of every schedule, before and after."""
+    sensors = [channel.sensor for channel in channels]
+    for section, take in zip(job.recordings, fit.takes, strict=True):
+        for interval in section.schedule().intervals:
+            for start, stop in both([(interval.start, interval.stop)], [*take.train, *take.test]):
+                parts = []
+                for balance in take.balances:
+                    first, last = np.searchsorted(balance.time, [start, stop])
+                    if last - first > 1:
+                        parts.append(balance.rows(slice(int(first), int(last))))
+                read = []
+                for theta in (fit.before, fit.posterior.theta):
+                    laws = take.laws(fit.posterior.unknowns, theta, fit.frames, (start, stop))
+                    known = all(name in laws for part in parts for name in part.inputs)
+                    read.append(weighed(robot, sensors, interval.touching, parts, laws)
+                                if known else None)  # fmt: skip
+                old, new = read
+                if old is not None and new is not None:
+                    times = [t for part in parts for t in (part.time[0], part.time[-1])]
+                    yield Weighing(take.recording, float(min(times)), float(max(times)),
+                                   interval.touching, robot.mass, old, new)  # fmt: skip
+
+
+def sensor_record(
+    job: Job, fit: WholeBody, result: SensorResult, findings: Sequence[tuple[str, Finding]]
+) -> SensorCalibration:
+    """Return the part of `calibration.json` for one sensor."""
+    channel, ft = result.channel, result.sensor
+    workbench = channel.workbench
+    secondary = workbench.secondary(result.estimate.gain)
+    k = result.estimate.temperature_gain
+    mine = {channel.signal, channel.temperature}
+    return SensorCalibration(
+        sensor=ft.name,
+        signal=channel.signal,
+        temperature_signal=channel.temperature,
+        logged=workbench.logged,
+        frame=frame_name(ft),
+        acts_on=acted_link(ft),
+        gain=result.estimate.gain.tolist(),
+        fitted_gain=result.fitted.gain.tolist(),
+        secondary=None if secondary is None else secondary.tolist(),
+        temperature_gain=None if k is None else k.tolist(),
+        reference_temperature=0.0,
+        offsets=offset_records(fit, result),
+        covariance=result.fitted.covariance.tolist(),
+        envelope=result.envelope,
+        noise_sd=result.noise.tolist(),
+        inefficiency=result.inefficiency.tolist(),
+        prior=Prior(
+            name=workbench.name,
+            gain=workbench.gain.tolist(),
+            full_scale=workbench.full_scale.tolist(),
+            form="kappa",
+            strength=fit.posterior.kappa,
+            chosen_by="job"
+            if job.fit.strength is not None
+            else "evidence"
+            if fit.choice is None
+            else "held-out stretches",
+        ),
+        verdicts=verdict_records(result.verdicts),
+        health=health_findings((r, f) for r, f in findings if f.signal in mine),
+    )
+
+
+def offset_records(fit: WholeBody, result: SensorResult) -> list[Offset]:
+    """Return the offset of every segment for the deployed rows, with its standard deviation."""
+    name = result.channel.sensor
+    unknowns, scale = fit.posterior.unknowns, fit.frames[name].workbench.full_scale
+    keep = np.array([not verdict.use for verdict in result.verdicts])
+    records = []
+    for take in fit.takes:
+        for segment in take.segments.get(name, ()):
+            if (name, segment) not in unknowns.places:
+                continue
+            place = unknowns.places[name, segment]
+            at_mean = np.where(keep, fit.before[place], fit.posterior.theta[place]) * scale
+            offset = at_mean - result.estimate.coefficients @ take.references[name]
+            sd = np.sqrt(np.diag(fit.posterior.covariance)[place]) * scale
+            start, stop = take.span(segment)
+            records.append(
+                Offset(
+                    recording=take.recording,
+                    start=start,
+                    stop=stop,
+                    offset=offset.tolist(),
+                    sd=sd.tolist(),
+                )
+            )
+    return records
