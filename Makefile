@@ -11,10 +11,11 @@ INSTALL := $(BIN)/python -m pip --disable-pip-version-check install --quiet
 
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
-.PHONY: help test lint wheel-test demo bench golden lock clean
+.PHONY: help test lint wheel-test demo paper bench golden lock clean
 
 help:
 	@echo 'make demo        calibrate a pretend robot and write its report to ftcal-out/demo'
+	@echo 'make paper       the paper, end to end, on a simulated robot: ftcal-out/paper/study.html'
 	@echo 'make test        style, types, layers, then the tests against the built wheel'
 	@echo 'make lint        style, types and layers only'
 	@echo 'make wheel-test  build the wheel and import every module from it'
@@ -44,6 +45,11 @@ wheel-test: .venv/dev.stamp
 
 demo: .venv/run.stamp
 	$(BIN)/ftcal demo -o ftcal-out/demo
+
+paper: .venv/run.stamp
+	rm -rf ftcal-out/paper
+	$(BIN)/ftcal simulate examples/paper/session.toml -o ftcal-out/paper/session
+	$(BIN)/ftcal study examples/paper/job.toml -o ftcal-out/paper
 
 bench: .venv/dev.stamp
 	@set -e; for file in benchmarks/*.py; do echo "== $$file"; $(BIN)/python "$$file"; done

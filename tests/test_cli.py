@@ -17,7 +17,7 @@ from golden import check
 from real import GENOVA02, needs_genova02
 from small_world import robot_text, write_world
 
-COMMANDS = ["inspect", "calibrate", "validate", "apply", "demo"]
+COMMANDS = ["inspect", "calibrate", "study", "validate", "apply", "payload", "simulate", "demo"]
 
 
 def run(*words: str | Path) -> Result:

@@ -152,7 +152,6 @@ def test_the_curve_is_lowest_at_the_delay() -> None:
     assert found.rms.max() > 1.0
 
 
-@pytest.mark.parametrize("seed", range(3))
 @dataclass(frozen=True)
 class Circle:
     """Two hip joints a quarter of a turn apart, once in two seconds."""
@@ -179,6 +178,7 @@ def test_a_bent_sensor_is_not_taken_for_a_delay_where_a_motion_repeats(seed: int
     assert abs(found.seconds - 0.02) < 3e-3
 
 
+@pytest.mark.parametrize("seed", range(3))
 def test_a_motion_too_slow_to_tell_is_not_determined(seed: int) -> None:
     moves = grid(icub(), LEG[:2], points=2, reach=0.05, duration=400.0)
     found = estimate(logged(moves, 0.02, seed))

@@ -589,7 +589,7 @@ OPTIONS: dict[str, tuple[Callable[[Path], None], set[str]]] = {
         {"wide"},
     ),
     "contacts": (text_in("study.toml", "start = 14", "start = 15"), {"run"}),
-    "no run": (text_in("study.toml", 'switching = "run"\nalign = [1, 13]', ""), ALL),
+    "no run": (text_in("study.toml", 'switching = "run"\nalign = [1, 13]', ""), {"run"}),
 }
 
 

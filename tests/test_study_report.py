@@ -341,10 +341,11 @@ def test_map_says_worse_in_the_cell_and_draws_nothing_for_nan() -> None:
     assert heat["z"][0][2] is None
 
 
-def test_both_files_are_written(walk: StudyOutcome, tmp_path: Path) -> None:
+def test_all_files_are_written(walk: StudyOutcome, tmp_path: Path) -> None:
     path = report.write_study(walk, tmp_path / "new" / "folder")
     assert path == tmp_path / "new" / "folder" / "study.html"
-    assert sorted(p.name for p in path.parent.iterdir()) == ["study.html", "study.json"]
+    names = ["calibration.json", "study.html", "study.json"]
+    assert sorted(p.name for p in path.parent.iterdir()) == names
     assert json.loads(path.with_name("study.json").read_text())["format"] == "ftcal-study"
 
 

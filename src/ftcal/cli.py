@@ -278,7 +278,9 @@ def study(
     else:
         out = console()
         print_study(out, outcome)
-        out.print(f"report  {report}", soft_wrap=True)
+        out.print(f"report       {report}", soft_wrap=True)
+        if outcome.sub_chains:
+            out.print(f"calibration  {report.with_name('calibration.json')}", soft_wrap=True)
     sys.exit(0 if outcome.improved else NOT_BETTER)
 
 

@@ -24,11 +24,15 @@ if TYPE_CHECKING:
 
 AS_TOLD = "as told"
 
-ALIKE = 1.1
-"""Readings whose misfits differ less are not told apart: the least far-fetched is believed."""
+ALIKE = 2.0
+"""Readings whose misfits differ by less than this factor are not told apart: the least far-fetched
+is believed. A turn by any angle has three free numbers: with few poses it fits some noise."""
 
 FREE = 3
 """From this rank on a reading has free numbers, or is two mistakes at once."""
+
+SWAP = np.eye(9)[[0, 1, 2, 6, 7, 8, 3, 4, 5]]
+"""(gravity, wrench) with force and torque exchanged."""
 
 FLOOR = 1e-14
 """Rounding of a scatter: residuals below this share of it are zero."""
@@ -55,35 +59,53 @@ class Reading:
         return float(np.sqrt(self.force * self.torque))
 
 
+@dataclass(frozen=True, slots=True)
+class _Change:
+    """One thing that is otherwise than told."""
+
+    words: str
+    cure: str
+    rank: int
+
+
 def readings(poses: Poses) -> tuple[Reading, ...]:
     """Return every reading of the table, that as told first, the others by misfit and rank.
 
     Conventions of the attitude x force and torque swapped x the 24 quarter turns between the frame
     of the attitude and that of the wrench, and the turn by any angle that suits the force best.
     """
-    ways = [Alternative(AS_TOLD, "", poses.gravity, poses.wrench), *poses.alternatives]
-    turns = [Q for Q in signed_axes().values() if np.linalg.det(Q) > 0 and np.trace(Q) < 3]
+    ways: list[tuple[tuple[_Change, ...], Alternative]] = [
+        ((), Alternative(AS_TOLD, "", poses.gravity, poses.wrench)),
+        *(((_Change(way.words, way.cure, 1),), way) for way in poses.alternatives),
+    ]
     found = []
-    for number, way in enumerate(ways):
-        words, cure = way.words, way.cure
-        both = Moments.of(np.column_stack([way.gravity, way.wrench]))
-        for swapped in (False, True):
-            order = [0, 1, 2, *((6, 7, 8, 3, 4, 5) if swapped else range(3, 9))]
-            moments = both.map(np.eye(9)[order])
-            rank = (number > 0) + swapped
-            said = [words] * (number > 0) + ["torque first"] * swapped
-            orders = [cure] * (number > 0) + ["name the torque's columns last"] * swapped
-            if number == 0 or "base" not in words:
-                about = [(*_relabelled(Q), Q, 2) for Q in turns]
-                about += [(*_turned(Q), Q, FREE) for Q in _best_turns(moments)]
-            else:
-                about = []  # a base on its side and turned frames: too far-fetched
-            for name, order_, Q, more in [("", "", np.eye(3), 0), *about]:
-                full = ", ".join([*said, *([name] if name else [])]) or AS_TOLD
-                cures = "; ".join([*orders, *([order_] if order_ else [])])
-                found.append(Reading(full, cures, rank + more, *_left(moments, Q)))
+    for way, columns in ways:
+        as_logged = Moments.of(np.column_stack([columns.gravity, columns.wrench]))
+        swap = _Change("torque first", "name the torque's columns last", 1)
+        for order, moments in (((), as_logged), ((swap,), as_logged.map(SWAP))):
+            for turn, Q in [((), np.eye(3)), *_turns(moments)]:
+                found.append(_reading((*way, *order, *turn), moments, Q))
     first, *others = found
     return (first, *sorted(others, key=lambda reading: (reading.misfit, reading.rank)))
+
+
+def _reading(changes: tuple[_Change, ...], moments: Moments, Q: Float[Array, "3 3"]) -> Reading:
+    return Reading(
+        ", ".join(change.words for change in changes) or AS_TOLD,
+        "; ".join(change.cure for change in changes),
+        sum(change.rank for change in changes),
+        *_left(moments, Q),
+    )
+
+
+def _turns(moments: Moments) -> list[tuple[tuple[_Change, ...], Float[Array, "3 3"]]]:
+    """Return the turns between both frames that are tried."""
+    quarters = [Q for Q in signed_axes().values() if np.linalg.det(Q) > 0 and np.trace(Q) < 3]
+    cure = "give both in one frame"
+    return [
+        *(((_Change(_relabelled(Q), cure, 2),), Q) for Q in quarters),
+        *(((_Change(_turned(Q), cure, FREE),), Q) for Q in _best_turns(moments)),
+    ]
 
 
 def believed(found: tuple[Reading, ...]) -> Reading:
@@ -99,16 +121,15 @@ def alike(found: tuple[Reading, ...]) -> tuple[Reading, ...]:
     return tuple(r for r in others if r.rank < FREE and r.misfit <= ALIKE * told.misfit)
 
 
-def _relabelled(Q: Float[Array, "3 3"]) -> tuple[str, str]:
+def _relabelled(Q: Float[Array, "3 3"]) -> str:
     axes = ", ".join(("-" if row.sum() < 0 else "") + "xyz"[np.abs(row).argmax()] for row in Q)
-    return f"the wrench's x, y, z being the attitude's {axes}", "give both in one frame"
+    return f"the wrench's x, y, z being the attitude's {axes}"
 
 
-def _turned(Q: Float[Array, "3 3"]) -> tuple[str, str]:
+def _turned(Q: Float[Array, "3 3"]) -> str:
     angle, axis = angle_and_axis(Q)
     about = ", ".join(f"{x:+.2f}" for x in axis)
-    said = f"turned by {np.degrees(angle):.1f} deg about ({about})"
-    return f"frame of the attitude {said}", "give both in one frame"
+    return f"frame of the attitude turned by {np.degrees(angle):.1f} deg about ({about})"
 
 
 def _best_turns(moments: Moments) -> list[Float[Array, "3 3"]]:
@@ -123,7 +144,9 @@ def _best_turns(moments: Moments) -> list[Float[Array, "3 3"]]:
 
 def _left(moments: Moments, Q: Float[Array, "3 3"]) -> tuple[float, float]:
     """Return the RMS of what mass and lever leave over of force and torque, gravity turned by Q."""
-    turned = moments.map(np.kron(np.diag([1.0, 0, 0]), Q) + np.diag([0.0] * 3 + [1.0] * 6))
+    both = np.eye(9)
+    both[:3, :3] = Q
+    turned = moments.map(both)
     left = GravityFit.of(turned, np.ones(6)).left(turned).reshape(2, 3).sum(axis=1)
     moved = np.diag(turned.scatter)[3:].reshape(2, 3).sum(axis=1)
     left = np.maximum(left, np.maximum(FLOOR * moved, TINY))

@@ -37,7 +37,7 @@ TINY = float(np.finfo(np.float64).tiny)
 """What is divided by where there is nothing."""
 
 NOTHING = 1e-12
-"""A mass [kg] that has no centre."""
+"""A mass [kg] that has no centre, a noise [N, Nm] that no sensor has."""
 
 EFFECT = np.stack(
     [np.block([[e[:, None], np.zeros((3, 3))], [np.zeros((3, 1)), -skew(e)]]) for e in np.eye(3)]
@@ -111,7 +111,7 @@ class GravityFit:
 def rounding(wrench: Float[Array, "N 6"]) -> Float[Array, "6"]:
     """Return the residual per axis below which nothing but rounding is left [N, Nm]."""
     size = np.sqrt(np.mean(wrench.reshape(-1, 2, 3) ** 2, axis=(0, 2))).repeat(3)
-    return np.asarray(np.maximum(ZERO * size, np.sqrt(TINY)))
+    return np.asarray(np.maximum(ZERO * size, NOTHING))
 
 
 def weights(moments: Moments, rows: Float[Array, "N 9"]) -> Float[Array, "6"]:

@@ -34,11 +34,11 @@ LEAST_POSES = 4
 LEAST_TURN = 0.02
 """Gravity that turns less than this [rad, RMS] is lost in the attitude's own error."""
 
-CLEARLY = 2.0
-"""Another reading must leave this many times less for the one told to be called wrong."""
-
 LEAST_SIGNAL = 3.0
 """A mass below this many of its standard errors is not seen."""
+
+SEVERAL = 8
+"""With fewer attitudes there is no saying which one is odd."""
 
 FAR = 6.0
 """A pose is named whose residual exceeds this many robust standard deviations."""
@@ -209,7 +209,7 @@ def _not_determined(
 def _misread(found: tuple[Reading, ...]) -> str:
     """Return which reading fits clearly better than the one told, and by how much; or nothing."""
     told, best = found[0], believed(found)
-    if told.misfit < CLEARLY * best.misfit:
+    if best is told:
         return ""
     return (
         f"read as told the fit leaves {told.force:.3g} N and {told.torque:.3g} Nm, but"
@@ -223,14 +223,16 @@ def _undecided(found: tuple[Reading, ...]) -> tuple[str, ...]:
         return ()
     more = f", or in {len(others) - 1} other ways" if len(others) > 1 else ""
     return (
-        f"these poses fit as well read as {others[0].words}{more}: what was told is believed; add"
-        " poses with gravity from other sides",
+        f"these poses fit about as well read as {others[0].words}{more}: what was told is believed;"
+        " add poses with gravity from other sides",
     )
 
 
 def _outliers(poses: Poses, left_out: Float[Array, "N 6"]) -> tuple[Outlier, ...]:
     """Return the poses far from what the others predict, by median absolute residual."""
     number = poses.number
+    if number[-1] + 1 < SEVERAL:
+        return ()
     starts = np.flatnonzero(np.diff(number, prepend=-1))
     mean = np.add.reduceat(left_out, starts, axis=0) / np.diff([*starts, len(number)])[:, None]
     robust = 1.4826 * np.median(np.abs(mean), axis=0)  # of a Gaussian: one standard deviation

@@ -9,6 +9,7 @@ from rich.console import Console
 from rich.padding import Padding
 from rich.text import Text
 
+from ftcal.conventions import FREE
 from ftcal.payload import Payload
 from ftcal.poses import Poses
 from ftcal.sensor import AXES, UNITS
@@ -25,7 +26,7 @@ SIDES = {
 """What the sign of the wrench means."""
 
 RIVALS = 3
-"""Other readings that are printed."""
+"""Other readings that are printed: plain ones, and what fits better than the one told."""
 
 
 def print_payload(console: Console, poses: Poses, payload: Payload) -> None:
@@ -60,7 +61,8 @@ def print_payload(console: Console, poses: Poses, payload: Payload) -> None:
         console.print(Padding(Text(note), (0, 0, 0, 2)))
     told, *others = payload.readings
     made = table("read as", "force left", "torque left", right=(1, 2))
-    for reading in (told, *others[:RIVALS]):
+    plain = [r for r in others if r.rank < FREE or r.misfit < told.misfit]
+    for reading in (told, *plain[:RIVALS]):
         made.add_row(Text(reading.words), f"{reading.force:.3g} N", f"{reading.torque:.3g} Nm")
     console.print(made)
 
@@ -86,6 +88,7 @@ def payload_metrics(poses: Poses, payload: Payload) -> dict[str, Any]:
         "rms_left_out": {"force": held_out[0], "torque": held_out[1]},
         "noise": payload.noise.sd.tolist(),
         "inefficiency": payload.noise.inefficiency.tolist(),
+        "turn": payload.turn.tolist(),
         "condition": payload.condition if math.isfinite(payload.condition) else None,
         "outliers": [
             {"rows": list(o.rows), "axis": o.axis, "residual": o.residual} for o in payload.outliers

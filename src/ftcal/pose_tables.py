@@ -42,6 +42,9 @@ HABITS: Mapping[Attitude, tuple[str, ...]] = MappingProxyType({
 })  # fmt: skip
 """Columns looked for where none are named, the first found wins: gravity needs no convention."""
 
+BROKEN = 1e9
+"""Numbers beyond are broken, not large, in any unit."""
+
 FAST, OFTEN = np.radians(10.0), 0.05
 """Gravity that turns faster [rad/s] in this share of the rows: the tool is thrown about."""
 
@@ -91,7 +94,7 @@ def read_poses(tables: Sequence[Path], layout: PoseLayout = BY_HABIT) -> Poses:
         require_rotations(logged, where, first_row=attitude_home.first_row)
     else:
         norms = np.linalg.norm(logged, axis=1)
-        unit = unit_of(norms, layout.unit, where)
+        unit = unit_of(norms, layout.unit, where, first_row=attitude_home.first_row)
         said, scale = f" [{unit}]", SCALES[unit]
         notes += unsteady_norm(norms, attitude, unit)
     if layout.steady is not None or attitude_home is not home:
@@ -130,6 +133,12 @@ class _Table:
         raise_all(LogError, str(self.file), faults)
         values = columns.matrix([self.columns[name].cast(pa.float64()) for name in names])
         columns.require_finite(values, names, str(self.file), first_row=self.first_row)
+        row, column = np.unravel_index(np.abs(values).argmax(), values.shape)
+        if abs(values[row, column]) > BROKEN:
+            raise LogError(
+                f"{self.file}, row {row + self.first_row}: column {names[column]!r} is"
+                f" {values[row, column]:.3g}, which no sensor reads; cut the row"
+            )
         return np.ascontiguousarray(values)
 
     def clock(self) -> Int[Array, "N"]:
@@ -153,12 +162,12 @@ def _load(file: Path, time: str) -> _Table:
             table, first_row = parquet.read_table(str(file), partitioning=None), 1
         else:
             table, first_row = load_csv(file, Layout(time=time)), 2
+        names = table.column_names  # decoded only here: a ValueError where they are no text
     except (pa.ArrowException, OSError, ValueError) as error:
         reason = (str(error).splitlines() or [type(error).__name__])[0][:200]
         raise LogError(f"{file}: not a readable table: {reason}") from error
     if not table.num_rows:
         raise LogError(f"{file}: a header but no rows; log the wrench in at least four attitudes")
-    names = table.column_names
     if twice := sorted({name for name in names if names.count(name) > 1}):
         raise LogError(f"{file}: column {twice[0]!r} appears {names.count(twice[0])} times; rename")
     return _Table(file, dict(zip(names, table.columns, strict=True)), time, first_row)

@@ -36,6 +36,9 @@ NEAR_GRAVITY = 0.15
 STEADY_NORM = 0.01
 """A norm that leaves its median by more than this share is told: bias, or motion."""
 
+ODD_NORM = 4.0
+"""A vector this many times longer or shorter than the median does not say where gravity points."""
+
 ROTATION_ERROR = 0.02
 """Largest entry of R'R - 1 of a rotation: rounding and interpolation stay below."""
 
@@ -144,10 +147,11 @@ def require_rotations(logged: Float[Array, "N 9"], where: str, *, first_row: int
         )
 
 
-def unit_of(norms: Float[Array, "N"], declared: Unit | None, where: str) -> Unit:
+def unit_of(norms: Float[Array, "N"], declared: Unit | None, where: str, *, first_row: int) -> Unit:
     """Return the unit in which vectors of these norms are gravity.
 
-    Raises `DataError` where there is none, or where it is not the one declared.
+    Raises `DataError` where there is none, where it is not the one declared, or where a vector is
+    far too short or too long.
     """
     median = float(np.median(norms))
     fitting: list[Unit] = [
@@ -164,6 +168,13 @@ def unit_of(norms: Float[Array, "N"], declared: Unit | None, where: str) -> Unit
         raise DataError(
             f"{where}: the median norm {median:.4g} is not gravity in {declared} but in"
             f" {fitting[0]}; say --unit {fitting[0]}"
+        )
+    odd = np.abs(np.log(np.maximum(norms, np.finfo(np.float64).tiny) / median))
+    if odd.max() > np.log(ODD_NORM):
+        row = int(odd.argmax())
+        raise DataError(
+            f"{where}, row {row + first_row}: norm {norms[row]:.3g}, the median is {median:.4g};"
+            " that is not gravity; cut the row"
         )
     return fitting[0]
 

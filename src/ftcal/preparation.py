@@ -14,7 +14,7 @@ from ftcal import __version__, logs
 from ftcal.archive import Shelf
 from ftcal.balances import Balance, balances
 from ftcal.config import Job, RecordingSection
-from ftcal.errors import DataError, JobError
+from ftcal.errors import DataError, JobError, OutputError
 from ftcal.firmware import estimate_full_scale
 from ftcal.health import examine, logs_counts
 from ftcal.logs.columns import digest, file_sha256
@@ -82,7 +82,13 @@ def prepare(
     if isinstance(kept, Prepared):
         return kept
     made = _made(job, robot, channels, section)
-    shelf.put(place, made)
+    try:
+        shelf.put(place, made)
+    except OutputError as error:
+        raise OutputError(
+            f"{shelf.folder}: prepared recordings cannot be kept there; name another folder with"
+            " --cache"
+        ) from error
     return made
 
 

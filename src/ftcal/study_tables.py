@@ -10,7 +10,7 @@ from rich.table import Table
 from rich.text import Text
 
 from ftcal.first_validation import IN_SITU, FirstValidation
-from ftcal.second_validation import SecondValidation, SubChain
+from ftcal.second_validation import BEST, MIXED, WORKBENCH, SecondValidation, SubChain
 from ftcal.sensor import UNITS
 from ftcal.study import SensorStudy, StudyOutcome
 from ftcal.terminal import table
@@ -26,6 +26,7 @@ def print_study(console: Console, outcome: StudyOutcome) -> None:
             console.print(Padding(Text(line), (0, 0, 0, 2)))
         if study.second is not None:
             console.print(second_table(study.second, outcome.job.study.lambdas))
+            console.print(Padding(Text(summary(study.second)), (0, 0, 1, 2)))
             console.print(axes_table(study))
     if outcome.sub_chains:
         console.print(Text("External wrench where nothing touches", "bold"))
@@ -91,6 +92,18 @@ def second_table(second: SecondValidation, lambdas: Sequence[float]) -> Table:
             ),
         )
     return made
+
+
+def summary(second: SecondValidation) -> str:
+    """Return what best and mixed leave over, also where they were not chosen."""
+    chosen = {
+        WORKBENCH: second.left[0],
+        BEST: second.left[second.best],
+        MIXED: second.mixed_left,
+    }
+    found = ", ".join(f"{name} {left.force:.2f} N" for name, left in chosen.items())
+    fair = ", ".join(f"{name} {left.force:.2f} N" for name, left in second.unseen.items())
+    return f"{found}; on pieces that did not choose: {fair}" if fair else found
 
 
 def axes_table(study: SensorStudy) -> Table:

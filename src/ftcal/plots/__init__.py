@@ -13,6 +13,7 @@ from ftcal.plots.validation import (
     matrices_in_space,
     truth_distances,
 )
+from ftcal.plots.whole_body import Node, share_map, stretch_curve, sub_model_graph
 from ftcal.plots.wrench import (
     Piece,
     forces_in_space,
@@ -25,6 +26,7 @@ from ftcal.plots.wrench import (
 __all__ = [
     "POINTS",
     "Figure",
+    "Node",
     "Piece",
     "directions",
     "elsewhere_map",
@@ -35,7 +37,10 @@ __all__ = [
     "prior_curve",
     "residual_spread",
     "residuals_in_time",
+    "share_map",
     "smoothing_effect",
+    "stretch_curve",
+    "sub_model_graph",
     "truth_distances",
     "truth_maps",
     "wrench_in_time",

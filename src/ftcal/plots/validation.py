@@ -31,7 +31,7 @@ from ftcal.plots.figure import (
     six_panels,
     with_holes,
 )
-from ftcal.plots.wrench import LINES, MODEL, THINNEST, WORKBENCH
+from ftcal.plots.wrench import LINES, MODEL, WORKBENCH, force_scene
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -113,18 +113,6 @@ def track(
         "name": plain(name),
         "line": dict(line),
         "hovertemplate": "%{x:.3g}, %{y:.3g}, %{z:.3g} N",
-    }
-
-
-def force_scene(force: Float[Array, "N 3"]) -> dict[str, Any]:
-    """Return the axes around forces in space: to scale, but no side too thin to be read."""
-    reach = np.maximum(np.ptp(force, axis=0), np.finfo(float).tiny)
-    sides = np.maximum(reach / reach.max(), THINNEST)
-    return {
-        **{f"{axis}axis": {"title": {"text": f"f{axis} [N]"}} for axis in "xyz"},
-        "aspectmode": "manual",
-        "aspectratio": {axis: float(side) for axis, side in zip("xyz", sides, strict=True)},
-        "camera": {"eye": {"x": 1.4, "y": 1.4, "z": 0.6}, "center": {"x": 0, "y": 0, "z": -0.12}},
     }
 
 

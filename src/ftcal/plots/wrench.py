@@ -232,18 +232,22 @@ def forces_in_space(sensor: str, pieces: Sequence[Piece]) -> Figure:
             }
         )
     force = np.concatenate([piece.reading.model[:, :3] for piece in pieces])
+    layout["scene"] = force_scene(force)
+    layout["legend"]["itemsizing"] = "constant"
+    layout["margin"] |= {"l": 0, "r": 0, "b": 0}
+    return {"data": traces, "layout": layout}
+
+
+def force_scene(force: Float[Array, "N 3"]) -> dict[str, Any]:
+    """Return the axes around forces in space: to scale, but no side too thin to be read."""
     reach = np.maximum(np.ptp(force, axis=0), np.finfo(float).tiny)
-    # to scale, but no side so thin that its axis cannot be read
     sides = np.maximum(reach / reach.max(), THINNEST)
-    layout["scene"] = {
+    return {
         **{f"{axis}axis": {"title": {"text": f"f{axis} [N]"}} for axis in "xyz"},
         "aspectmode": "manual",
         "aspectratio": {axis: float(side) for axis, side in zip("xyz", sides, strict=True)},
         "camera": {"eye": {"x": 1.2, "y": 1.2, "z": 0.5}, "center": {"x": 0, "y": 0, "z": -0.12}},
     }
-    layout["legend"]["itemsizing"] = "constant"
-    layout["margin"] |= {"l": 0, "r": 0, "b": 0}
-    return {"data": traces, "layout": layout}
 
 
 def smoothing_effect(recording: Recording, channel: FtChannel, stretch: Samples) -> Figure:

@@ -22,8 +22,9 @@ from ftcal.report.album import (
     residual_figures,
     wrench_figures,
 )
+from ftcal.report.rendering import rendered
 from ftcal.report.truth import Truth
-from ftcal.report.words import TEXT_FILTERS, strength
+from ftcal.report.words import strength
 from ftcal.sensor import AXES, UNITS
 from ftcal.validate import Score, Scores
 from ftcal.verdict import Verdict, advice, overall
@@ -40,9 +41,6 @@ def html(outcome: Outcome, truth: Mapping[str, Float[Array, "6 K"]] | None = Non
 
     `truth` maps sensors to their true gain; the page then shows truth beside estimate.
     """
-    from jinja2 import Environment, PackageLoader, StrictUndefined
-    from plotly.offline import get_plotlyjs
-
     album = Album()
     sensors = [
         sensor_section(
@@ -55,15 +53,9 @@ def html(outcome: Outcome, truth: Mapping[str, Float[Array, "6 K"]] | None = Non
         )
         for number, sensor in enumerate(outcome.sensors, 1)
     ]
-    environment = Environment(
-        loader=PackageLoader("ftcal", "templates"),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.filters.update(TEXT_FILTERS)
-    return environment.get_template("report.html").render(
+    return rendered(
+        "report.html",
+        album,
         robot=outcome.robot.name,
         recordings=[
             {"name": r.name, "source": r.source, "seconds": r.duration} for r in outcome.recordings
@@ -73,9 +65,6 @@ def html(outcome: Outcome, truth: Mapping[str, Float[Array, "6 K"]] | None = Non
             health_section(recording, outcome.findings, album) for recording in outcome.recordings
         ],
         provenance=outcome.calibration.provenance,
-        points=plots.POINTS,
-        figures=album.json(),
-        plotly=get_plotlyjs(),
     )
 
 

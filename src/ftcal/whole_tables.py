@@ -1,0 +1,90 @@
+"""What a person reads of a fit of all sensors in a terminal of 100 columns.
+
+The verdict of each sensor first, then the robot: what is left over where nothing touches, and what
+it weighs on its own sensors.
+"""
+
+from __future__ import annotations
+
+from rich.console import Console
+from rich.padding import Padding
+from rich.table import Table
+from rich.text import Text
+
+from ftcal.all_sensors import SensorResult
+from ftcal.report.whole_metrics import means, on_the_prior, undetermined
+from ftcal.sensor import AXES
+from ftcal.terminal import STYLES, reasons, score_table, table
+from ftcal.verdict import advice, overall
+from ftcal.whole_pipeline import WholeOutcome
+
+
+def print_whole(console: Console, outcome: WholeOutcome) -> None:
+    """Print the verdict of every sensor, then leftovers, masses and the prior."""
+    for result in outcome.fit.sensors:
+        print_result(console, result)
+    for name in undetermined(outcome):
+        console.print(Text(f"{name}: in no balance trained on; keep the Workbench"))
+    console.print(Text("Left over where nothing touches", "bold"))
+    console.print(left_table(outcome))
+    if outcome.weighings:
+        described = f"the description says {outcome.robot.mass:.2f} kg"
+        console.print(Text.assemble(("Mass on its own sensors", "bold"), f", {described}"))
+        console.print(mass_table(outcome))
+    posterior, choice = outcome.fit.posterior, outcome.fit.choice
+    console.print(
+        f"{outcome.fit.samples} samples of balances; prior kappa {posterior.kappa:.3g}"
+        + ("" if choice is None else " (held-out stretches)")
+        + f"; the data determine {posterior.spent:.0f} of {posterior.unknowns.prior} entries"
+    )
+    console.print()
+
+
+def print_result(console: Console, result: SensorResult) -> None:
+    """Print the verdict, the table per axis and what rests on the prior of one sensor."""
+    word = overall(result.verdicts)
+    console.print(
+        Text.assemble((result.sensor.name, "bold"), "  ", (word, STYLES[word])),
+        Text(advice(result.verdicts)),
+    )
+    console.print(score_table(result.scores, result.verdicts))
+    for reason in reasons(result.verdicts):
+        console.print(Padding(Text(reason), (0, 0, 0, 2)))
+    weak = on_the_prior(result)
+    if everywhere := [name for name, rows in weak.items() if len(rows) == len(AXES)]:
+        line = f"every row rests on the Workbench along {', '.join(everywhere)}"
+        console.print(Padding(Text(line), (0, 0, 0, 2)))
+    console.print()
+
+
+def left_table(outcome: WholeOutcome) -> Table:
+    """Return the mean force and torque left over, a sub-model and kind of stretch a row."""
+    made = table("sub-model", "contacts", "seconds", "force before", "after", "torque before",
+                 "after", right=(1, 3, 4, 5, 6))  # fmt: skip
+    for one in means(outcome):
+        torque = [f"{left[1]:.3g} Nm" if one.equations == 6 else "-"
+                  for left in (one.workbench, one.whole_body)]  # fmt: skip
+        made.add_row(
+            Text(one.sub_model),
+            str(one.touching),
+            "held out" if one.held_out else "trained on",
+            f"{one.workbench[0]:.3g} N",
+            f"{one.whole_body[0]:.3g} N",
+            *torque,
+        )
+    return made
+
+
+def mass_table(outcome: WholeOutcome) -> Table:
+    """Return the mass that the sensors read in every stretch."""
+    made = table("recording", "start", "stop", "touching", "Workbench", "new", right=(1, 2, 4, 5))
+    for one in outcome.weighings:
+        made.add_row(
+            Text(one.recording),
+            f"{one.start:.1f} s",
+            f"{one.stop:.1f} s",
+            Text(", ".join(one.touching)),
+            f"{one.workbench:.2f} kg",
+            f"{one.whole_body:.2f} kg",
+        )
+    return made
