@@ -836,7 +836,7 @@ def boards(outcome: StudyOutcome, *scales: tuple[int, ...]) -> None:
 
 def test_what_few_readings_show_of_a_board_is_not_another_robot(outcome: StudyOutcome) -> None:
     boards(outcome, BOARD, TWICE, CHANCE, SILENT)
-    with pytest.raises(JobError, match=r"'take 2' but .* in 'take 0'"):
+    with pytest.raises(JobError, match=r"'take 0' but .* in 'take 2'"):
         boards(outcome, BOARD, SILENT, STRANGE)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -51,7 +52,7 @@ def means_of(balance: Balance) -> dict[str, Float[Array, "P"]]:
 
 def terms_of(
     balance: Balance,
-    segments: dict[str, tuple[Segment, ...]] | None = None,
+    segments: Mapping[str, tuple[Segment, ...]] | None = None,
     stretch: tuple[float, float] = (-np.inf, np.inf),
 ) -> list[Terms]:
     segments = segments or dict.fromkeys(balance.inputs, (ALWAYS,))

@@ -6,6 +6,7 @@ import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,15 +14,22 @@ import pytest
 
 from ftcal.all_sensors import WholeBody, calibrate_all, known_of
 from ftcal.balances import Balance, balances
-from ftcal.config import Job
+from ftcal.config import FitSection, Job, read_job
 from ftcal.errors import DataError, FtcalError, JobError
 from ftcal.law import Law
 from ftcal.motion import STANDARD_GRAVITY
 from ftcal.pairing import FtChannel
+from ftcal.pipeline import calibrate, ft_channel
 from ftcal.progress import Steps, silent
-from ftcal.recording import Recording
+from ftcal.recording import Finding, Recording
+from ftcal.robot import Joint, Link, Robot
+from ftcal.scenario import Scenario
 from ftcal.sensor import AXES, Workbench
+from ftcal.spatial import pose
+from ftcal.staging import stage
+from ftcal.synthetic import read_truth
 from ftcal.terms import Frame, ModelPrior, Segment, Terms, summed
+from ftcal.urdf import read_robot
 from ftcal.verdict import Verdict
 from ftcal.weighing import weighed
 from ftcal.whole_body import (
@@ -35,6 +43,7 @@ from ftcal.whole_body import (
     path,
     solve,
 )
+from ftcal.whole_pipeline import calibrate_whole_body
 from pretend import FULL_SCALE, bent, workbench
 from study_world import LEGS, ideal, moved, schedule, signal
 from walker import SENSORS, walker
@@ -176,7 +185,8 @@ def test_an_infinite_penalty_returns_the_workbench() -> None:
     one = world()
     normal = normal_of(terms_of(one), frames_of(one))
     theta, _ = solve(normal, white(normal, 1.0, 0.1), 1e-9)
-    assert abs(theta[: normal.unknowns.prior]).max() < 1e-9
+    # kappa squared times the pull of the data
+    assert abs(theta[: normal.unknowns.prior]).max() < 1e-8
     for name, frame in frames_of(one).items():
         C = frame.coefficients(theta[normal.unknowns.entries[name]].reshape(6, 6))
         # entries of C against the largest of their row, which full scale makes comparable
@@ -191,7 +201,7 @@ def test_path_is_solve_for_every_strength(kappa: float) -> None:
     (along,) = path(normal, noise, np.array([kappa]))
     theta, _ = solve(normal, noise, kappa)
     # two ways through a system whose condition is 1e9 and more
-    assert abs(along - theta).max() < 1e-5 * abs(theta).max()
+    assert abs(along - theta).max() < 1e-4 * abs(theta).max()
 
 
 def test_evidence_finds_the_strength_that_was_planted() -> None:
@@ -219,7 +229,7 @@ def test_one_stretch_cannot_choose_the_strength_by_holding_out() -> None:
     one = world()
     terms = terms_of(one, spans=[LEFT])
     normal = normal_of(terms, frames_of(one))
-    with pytest.raises(DataError, match="^one stretch alone cannot choose .*give kappa, or"):
+    with pytest.raises(DataError, match=r"^one stretch alone cannot choose .*give kappa, or"):
         choose_kappa(terms, frames_of(one), white(normal, 1.0, 0.1))
 
 
@@ -317,26 +327,59 @@ def test_a_gauge_of_quiet_sensors_can_be_solved() -> None:
 # ------------------------------------------------------------------------- balances it is made of
 
 
+def with_arm(robot: Robot) -> Robot:
+    """Return the walker with an arm on its trunk, beyond all sensors."""
+    arm = Link("arm", 2.0, np.array([0.0, 0.0, -0.2]), 0.01 * np.eye(3))
+    at = pose(np.eye(3), np.array([0.0, 0.2, 0.4]))
+    shoulder = Joint("shoulder", "revolute", "trunk", "arm", at, np.array([0.0, 1.0, 0.0]))
+    return replace(
+        robot,
+        links={**robot.links, "arm": arm},
+        joints={**robot.joints, "shoulder": shoulder},
+    )
+
+
 def test_a_sub_model_with_joints_not_logged_gives_three_rows() -> None:
     one = world()
-    (joints,) = one.recording.joints
-    kept = [k for k, name in enumerate(joints.columns) if name != "r_hip_pitch"]
-    fewer = signal("joints", [joints.columns[k] for k in kept], joints.values[:, kept])
-    # the hip lies inside the trunk's sub-model: beyond it, nothing says how the right leg hangs
-    log = replace(one.recording, joints=(fewer,))
+    contacts = schedule(LEFT)
     found = {
         part.sub_model: part
         for part in balances(
-            log, walker(), one.channels, schedule(LEFT), gravity=STANDARD_GRAVITY, by_mass=True
+            one.recording,
+            with_arm(walker()),
+            one.channels,
+            contacts,
+            gravity=STANDARD_GRAVITY,
+            by_mass=True,
         )
     }
-    assert "l_thigh" in found and found["l_thigh"].equations == 6
-    references = {name: values.mean(axis=0) for name, values in found["l_thigh"].inputs.items()}
+    assert {name for name, part in found.items() if part.by_mass} == {"trunk"}
+    always = (-np.inf, np.inf)
     for name, part in found.items():
         segments = dict.fromkeys(part.inputs, (ALWAYS,))
-        mine = references | {s: v.mean(axis=0) for s, v in part.inputs.items()}
-        (term,) = summed(part, "take", frames_of(one), mine, segments, (-np.inf, np.inf), EXACT)
-        assert len(term.products) == part.equations == (3 if part.by_mass else 6), name
+        references = {sensor: values.mean(axis=0) for sensor, values in part.inputs.items()}
+        (term,) = summed(part, "take", frames_of(one), references, segments, always, EXACT)
+        assert len(term.products) == (3 if name == "trunk" else 6)
+
+
+def test_a_frozen_sensor_drops_only_the_equations_it_is_in() -> None:
+    one = world()
+    name = "l_foot_ft_sensor"
+    frozen = Finding("frozen", f"{name}/analog:o", 20.0, 24.0, True, "frozen")
+    counts = []
+    for findings in ((), (frozen,)):
+        parts = balances(
+            one.recording,
+            walker(),
+            one.channels,
+            schedule(*SPANS),
+            gravity=STANDARD_GRAVITY,
+            findings=findings,
+        )
+        counts.append({part.sub_model: len(part.time) for part in parts})
+    lost = {model: counts[0][model] - counts[1][model] for model in counts[0]}
+    # on the left foot its own sub-model is touched: only the thigh above has equations to lose
+    assert lost == {"trunk": 0, "l_thigh": 400, "r_thigh": 0, "l_foot": 0, "r_foot": 0}
 
 
 def laws(one: World, scale: float = 1.0) -> dict[str, Law]:
@@ -356,7 +399,8 @@ def test_sensors_off_by_a_scale_weigh_what_they_carry_off_by_it() -> None:
     one = world()
     parts = raw_balances(one, LEFT)
     true, off = (weighed(walker(), SENSORS, ("l_sole",), parts, laws(one, s)) for s in (1.0, 1.07))
-    assert true is not None and off is not None
+    assert true is not None
+    assert off is not None
     # all that is above the left foot's sensor
     carried = walker().mass - walker().links["l_foot"].mass
     assert off - true == pytest.approx(0.07 * carried, rel=1e-3)
@@ -433,8 +477,8 @@ def test_a_break_takes_up_a_step_of_the_offset_and_the_matrix_does_not() -> None
         broken.posterior.theta[broken.posterior.unknowns.places[name, segment]] * FULL_SCALE
         for segment in broken.takes[0].segments[name]
     )
-    # of 25 N; both offsets are those at one reading, r0
-    assert (late - early)[:3] == pytest.approx(step[:3], abs=1.0)
+    # w = C r + o of the same w: the offset goes down as the reading goes up
+    assert (early - late)[:3] == pytest.approx(step[:3], abs=0.5)
 
 
 def with_mad_test_window(one: World) -> Recording:
@@ -531,18 +575,144 @@ def test_a_sensor_absent_in_a_recording_is_told_in_one_line() -> None:
     line(told.value)
 
 
-@pytest.mark.xfail(strict=True, reason="the names in `breaks` are not looked up")
-def test_breaks_of_an_unknown_sensor_are_told_in_one_line() -> None:
-    one = world()
-    with pytest.raises((JobError, DataError), match="r_leg_ft_sensr") as told:
-        fitted(job([{**TEST, "breaks": {"r_leg_ft_sensr": [8.0]}}]), [one.recording], one.channels)
-    line(told.value)
+@pytest.mark.parametrize(
+    ("breaks", "culprit"),
+    [
+        ("{r_leg_ft_sensr = [8.0]}", "no sensor 'r_leg_ft_sensr'; did you mean r_leg_ft_sensor"),
+        ("{r_leg_ft_sensor = [20.0, 8.0]}", "breaks of 'r_leg_ft_sensor' must increase"),
+    ],
+)
+def test_breaks_that_cannot_be_are_told_in_one_line(
+    breaks: str, culprit: str, tmp_path: Path
+) -> None:
+    file = tmp_path / "job.toml"
+    file.write_text(
+        'robot = "walker.urdf"\n[[sensors]]\nname = "r_leg_ft_sensor"\nsignal = "leg"\n'
+        f'[[recordings]]\nlog = "take"\ncontact = "l_sole"\nbreaks = {breaks}\n'
+    )
+    with pytest.raises(JobError) as told:
+        read_job(file)
+    assert culprit in line(told.value)
 
 
-@pytest.mark.xfail(strict=True, reason="an order of breaks that cannot be is not refused")
-def test_breaks_out_of_order_are_told_in_one_line() -> None:
-    one = world()
-    described = job([{**TEST, "breaks": {"r_leg_ft_sensor": [20.0, 8.0]}}])
-    with pytest.raises((JobError, DataError), match="break") as told:
-        fitted(described, [one.recording], one.channels)
-    line(told.value)
+# ------------------------------------------------------------------------------ a whole session
+
+LEG = ("hip_pitch", "hip_roll", "hip_yaw", "knee", "ankle_pitch", "ankle_roll")
+ARM = ("shoulder_pitch", "shoulder_roll", "elbow")
+SIDES = ("left", "right")
+
+
+def session(folder: Path, seed: int) -> Path:
+    """Write a session of six bent sensors on an iCub whose masses are 3 % off; return its job."""
+    walking = {
+        "motion": "switching",
+        "pole": "root_link",
+        "hanging": 16,
+        "swing": 18,
+        **{
+            side: {"frame": f"{side[0]}_sole", "joints": [f"{side[0]}_{j}" for j in LEG]}
+            for side in SIDES
+        },
+    }
+    scenario = Scenario.model_validate(
+        {
+            "model": "iCubGenova04",
+            "seed": seed,
+            "sensors": [
+                {"name": f"{side[0]}_{limb}_ft", "signal": f"{side}_{limb}/analog:o"}
+                for side in SIDES
+                for limb in ("arm", "leg", "foot")
+            ],
+            "faults": {"mass": 0.03, "com": 0.003},
+            "takes": [
+                {
+                    "name": "grid",
+                    "motion": "grid",
+                    "contact": "root_link",
+                    "groups": [
+                        [f"{side}_{joint}" for joint in joints]
+                        for joints in (LEG[:3], ARM)
+                        for side in "rl"
+                    ],
+                    "points": 3,
+                    "range_deg": 45,
+                    "duration": 70,
+                },
+                {
+                    "name": "balancing",
+                    "motion": "extended balancing",
+                    "contact": "l_sole",
+                    "joints": [f"r_{joint}" for joint in LEG],
+                    "support": [f"l_{joint}" for joint in LEG if "yaw" not in joint],
+                    "sole": {},
+                    "duration": 40,
+                    "speed": 0.5,
+                    "acceleration": 1.0,
+                },
+                {"name": "walk", **walking},
+                {"name": "run", "held_out": True, **walking},
+            ],
+        }
+    )
+    job, _ = stage(scenario, folder / "session")
+    return job
+
+
+def loaded_errors(
+    job: Job, readings: Recording, gains: Mapping[str, Float[Array, "6 6"]], truth: Path
+) -> float:
+    """Return the mean force error [N] of all sensors in stance; zeroed while the robot hangs."""
+    true, robot = read_truth(truth), read_robot(job.path(job.robot))
+    hanging, *stances = job.recordings[-1].schedule().intervals
+    errors = []
+    for section in job.sensors:
+        channel = ft_channel(job, robot, section)
+        signal = readings.channel(channel.signal)
+        time = readings.seconds(signal)
+        raw = channel.workbench.channels(signal.values)
+        within = [(time >= i.start) & (time < i.stop) for i in (hanging, *stances)]
+        moved = raw[np.any(within[1:], axis=0)] - raw[within[0]].mean(axis=0)
+        error = moved @ (gains[channel.sensor] - true[channel.sensor]).T
+        errors.append(float(np.linalg.norm(error[:, :3], axis=1).mean()))
+    return float(np.mean(errors))
+
+
+@pytest.fixture(scope="module")
+def errors(tmp_path_factory: pytest.TempPathFactory) -> dict[str, float]:
+    """Return the loaded force error [N] of the Workbench, six fits and one fit, as fitted."""
+    pytest.importorskip("icub_models")
+    file = session(tmp_path_factory.mktemp("six"), seed=1)
+    described = read_job(file)
+    alone = calibrate(described)
+    together = calibrate_whole_body(
+        described.model_copy(update={"fit": FitSection(scope="whole body")})
+    )
+    gains = {
+        "Workbench": {s.sensor.name: s.channel.workbench.gain for s in alone.sensors},
+        "each": {s.sensor.name: s.fit.estimate.gain for s in alone.sensors},
+        "all": {s.sensor.name: s.fitted.gain for s in together.fit.sensors},
+        "all, deployed": {s.sensor.name: s.estimate.gain for s in together.fit.sensors},
+    }
+    truth = file.with_name("truth.json")
+    return {
+        name: loaded_errors(described, alone.recordings[-1], some, truth)
+        for name, some in gains.items()
+    }
+
+
+@pytest.mark.slow
+def test_all_at_once_reads_loads_better_than_the_workbench(errors: dict[str, float]) -> None:
+    # measured 13.5 N and 1.7 N
+    assert errors["all"] < 0.2 * errors["Workbench"]
+
+
+@pytest.mark.slow
+@pytest.mark.xfail(strict=True, reason="both leave 1.7 N: single stance loads each sensor already")
+def test_all_at_once_reads_loads_three_times_better_than_six_fits(errors: dict[str, float]) -> None:
+    assert errors["all"] < errors["each"] / 3
+
+
+@pytest.mark.slow
+@pytest.mark.xfail(strict=True, reason="rows are refused where a recording has no fitted offset")
+def test_what_is_deployed_reads_loads_as_well_as_what_is_fitted(errors: dict[str, float]) -> None:
+    assert errors["all, deployed"] < 1.5 * errors["all"]

@@ -246,14 +246,18 @@ def balanced(
         recording.name,
         tuple(found),
         {name: np.concatenate(parts).mean(axis=0) for name, parts in inputs.items()},
-        {name: segments(section, name) for name in inputs},
+        {
+            channel.sensor: segments(section, named.name)
+            for channel, named in zip(channels, job.sensors, strict=True)
+            if channel.sensor in inputs
+        },
         both(spans, train),
         both(spans, held),
     )
 
 
 def segments(section: RecordingSection, sensor: str) -> tuple[Segment, ...]:
-    """Return the offset segments of a sensor in a recording: cut where the job says it steps."""
+    """Return the offset segments of a sensor, as the job calls it: cut where the offset steps."""
     edges = [-np.inf, *section.breaks.get(sensor, ()), np.inf]
     return tuple(Segment(section.label, a, b) for a, b in itertools.pairwise(edges))
 

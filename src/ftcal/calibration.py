@@ -53,6 +53,15 @@ class Provenance(Record):
     inputs: list[Input]
 
 
+class Centre(Record):
+    """Where a stretch of a recording knows its wrench best: at its mean."""
+
+    inputs: Row
+    """Mean of the channels [channel unit], then of T - T_ref [K] where a temperature is logged."""
+    sd: Row
+    """Standard deviation of the wrench at `inputs`, whatever the gain [N, Nm]."""
+
+
 class Offset(Record):
     """The offset of one stretch of one recording."""
 
@@ -65,6 +74,8 @@ class Offset(Record):
     """o of `w = C r + o` with the deployed `gain` [N, Nm]."""
     sd: Row
     """Posterior standard deviation [N, Nm]."""
+    centre: Centre | None = None
+    """About which the error of the gain turns; null where it is not known."""
 
 
 class Prior(Record):

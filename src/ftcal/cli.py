@@ -21,6 +21,9 @@ from ftcal.errors import FtcalError
 if TYPE_CHECKING:
     from rich.console import Console
 
+    from ftcal.config import Job
+    from ftcal.delay import Delay
+    from ftcal.diagnosis import Diagnosis
     from ftcal.progress import Progress
     from ftcal.timeline import Phase
 
@@ -181,21 +184,27 @@ def inspect(
         phases = timeline.phases
         if plot is not None:
             write_plot(plot, contact_timeline(timeline, recording.name))
-    verdict = None
+    verdict: Diagnosis | None = None
+    late: tuple[Delay, ...] = ()
     if diagnose and model is not None:
-        from ftcal import diagnosis
+        from ftcal import delay, diagnosis
 
+        schedule = (
+            diagnosis.throughout(recording, contacts) if contacts else diagnosis.touching(phases)
+        )
         verdict = diagnosis.diagnose(
             recording,
             model,
-            diagnosis.throughout(recording, contacts) if contacts else diagnosis.touching(phases),
+            schedule,
             rivals={str(path): read_robot(path) for path in rivals},
             findings=findings,
         )
+        late = delay.delays(recording, model, schedule, findings=findings)
     if machine:
         from ftcal.inspection import as_record
 
-        click.echo(json.dumps(as_record(recording, findings, model, phases, verdict), indent=1))
+        record = as_record(recording, findings, model, phases, verdict, late)
+        click.echo(json.dumps(record, indent=1))
         return
     out = console()
     terminal.print_recording(out, recording, model)
@@ -204,6 +213,8 @@ def inspect(
         terminal.print_phases(out, phases)
     if verdict is not None:
         terminal.print_diagnosis(out, verdict)
+        for one in late:
+            out.print(one.message, soft_wrap=True)
 
 
 @main.command(short_help="Calibrate the sensors of a job file.")
@@ -225,6 +236,8 @@ def run_job(job: Path, output: Path | None, machine: bool, *, truth: dict[str, A
 
     described = read_job(job)
     folder = output or job.parent / (described.output or "ftcal-out")
+    if described.fit.scope == "whole body":
+        return run_whole_body(described, folder, machine)
     with progress_bar() as progress:
         outcome = run(described, progress=progress)
         report = write_outcome(outcome, folder, truth)
@@ -237,6 +250,25 @@ def run_job(job: Path, output: Path | None, machine: bool, *, truth: dict[str, A
             terminal.print_sensor(out, sensor)
             if truth is not None:
                 terminal.print_truth(out, sensor, truth[sensor.sensor.name])
+        out.print(f"report       {report}", soft_wrap=True)
+        out.print(f"calibration  {report.with_name('calibration.json')}", soft_wrap=True)
+    return 0 if outcome.improved else NOT_BETTER
+
+
+def run_whole_body(described: Job, folder: Path, machine: bool) -> int:
+    """Fit all sensors of a job at once, write the results, print them; return the exit code."""
+    from ftcal.report import whole_metrics, write_whole
+    from ftcal.whole_pipeline import calibrate_whole_body
+    from ftcal.whole_tables import print_whole
+
+    with progress_bar() as progress:
+        outcome = calibrate_whole_body(described, progress=progress)
+        report = write_whole(outcome, folder)
+    if machine:
+        click.echo(json.dumps(whole_metrics(outcome), indent=1))
+    else:
+        out = console()
+        print_whole(out, outcome)
         out.print(f"report       {report}", soft_wrap=True)
         out.print(f"calibration  {report.with_name('calibration.json')}", soft_wrap=True)
     return 0 if outcome.improved else NOT_BETTER
@@ -326,19 +358,25 @@ def validate(calibration: Path, job: Path, machine: bool) -> None:
     help="Which recording's offset: its name, `zero`, or auto (LOG's own, else the last).",
 )
 @click.option("--like", type=TEXT, help="Job whose first recording says how LOG is to be read.")
+@click.option("--sd", is_flag=True, help="Add the predicted standard deviation of every axis.")
 @mendable
-def apply(calibration: Path, log: Path, output: Path, offset: str, like: Path | None) -> None:
+def apply(
+    calibration: Path, log: Path, output: Path, offset: str, like: Path | None, *, sd: bool
+) -> None:
     """Recalibrate LOG: write the corrected wrenches of every calibrated sensor that it carries."""
     from ftcal import logs
-    from ftcal.applying import corrected, write_table
+    from ftcal.applying import corrected, refused, write_table
     from ftcal.calibration import read_calibration
     from ftcal.config import read_job
 
     layout = logs.Layout() if like is None else read_job(like).recordings[0].layout()
-    recording, used = corrected(read_calibration(calibration), logs.read(log, layout), offset)
+    known = read_calibration(calibration)
+    recording, used = corrected(known, logs.read(log, layout), offset, sd=sd)
     write_table(recording, output)
     for sensor, source in used.items():
         click.echo(f"{sensor}: offset of {source}")
+        if sd and (kept := refused(known.sensor(sensor))):
+            click.echo(f"{sensor}: no standard deviation of {', '.join(kept)}: Workbench kept")
     click.echo(f"wrote {output}")
 
 

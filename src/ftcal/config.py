@@ -293,6 +293,17 @@ class Job(Section):
             if twice := sorted({name for name in names if names.count(name) > 1}):
                 raise ValueError(f"{kind} {', '.join(map(repr, twice))} appears twice; give names")
         labels = [r.label for r in self.recordings]
+        sensors = [s.name for s in self.sensors]
+        for section in self.recordings:
+            for name, times in section.breaks.items():
+                if name not in sensors:
+                    where = f"recording {section.label!r}: breaks"
+                    raise ValueError(f"{where}: {unknown('sensor', name, sensors)}")
+                if list(times) != sorted(set(times)):
+                    raise ValueError(
+                        f"recording {section.label!r}: breaks of {name!r} must increase, got"
+                        f" {list(times)}"
+                    )
         if "Workbench" in labels:
             raise ValueError("a recording cannot be called 'Workbench'; give it another name")
         named = (*self.study.training, *filter(None, (self.study.switching,)))

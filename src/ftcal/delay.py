@@ -25,7 +25,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ftcal.contact import ContactSchedule
+from ftcal.errors import DataError, RobotError
 from ftcal.moments import Moments
+from ftcal.motion import STANDARD_GRAVITY
 from ftcal.noise import inefficiency
 from ftcal.pairing import FtChannel, SignalOptions, pair
 from ftcal.recording import NANOSECONDS, Finding, Recording, Signal
@@ -34,6 +36,7 @@ from ftcal.robot import Robot
 from ftcal.samples import Samples
 from ftcal.sensor import AXES, Workbench
 from ftcal.signals import default_gap, interpolate, runs
+from ftcal.timeline import matching_signals
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Int
@@ -91,6 +94,40 @@ class Delay:
     """Force that each of them leaves unexplained [N], root mean square."""
     message: str
     """One line for a person."""
+
+
+def delays(
+    recording: Recording,
+    robot: Robot,
+    schedule: ContactSchedule,
+    *,
+    findings: Iterable[Finding] = (),
+) -> tuple[Delay, ...]:
+    """Return the delay of every F/T signal whose sensor is known and free at times.
+
+    Signals are those of `matching_signals`, calibrated or not; others say nothing of a delay.
+    """
+    findings = tuple(findings)
+    found = []
+    for name, signal in matching_signals(recording, robot).items():
+        values = recording.channel(signal).values
+        # scales the prior alone: several times what the log shows
+        scale = np.maximum(10.0 * values.std(axis=0), np.finfo(float).tiny)
+        channel = FtChannel(name, signal, Workbench("as logged", np.eye(6), scale, "channels"))
+        try:
+            found.append(
+                estimate_delay(
+                    recording,
+                    robot,
+                    channel,
+                    schedule,
+                    gravity=STANDARD_GRAVITY,
+                    findings=findings,
+                )
+            )
+        except (DataError, RobotError):  # not free, or its joints are not logged
+            continue
+    return tuple(found)
 
 
 def estimate_delay(

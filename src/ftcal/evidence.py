@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import platform
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from datetime import UTC, datetime
 
 import numpy as np
@@ -12,6 +13,7 @@ import numpy as np
 from ftcal import __version__
 from ftcal.calibration import (
     AxisVerdict,
+    Centre,
     HealthFinding,
     Input,
     Offset,
@@ -21,9 +23,12 @@ from ftcal.calibration import (
 )
 from ftcal.config import Job
 from ftcal.fit import segment_offsets
-from ftcal.folds import cells
+from ftcal.folds import cells, segment_moments
+from ftcal.moments import Moments
+from ftcal.noise import Noise
 from ftcal.one_sensor import SensorOutcome
 from ftcal.recording import Finding
+from ftcal.ridge import Estimate
 from ftcal.robot import FtSensor, Robot
 from ftcal.verdict import Verdict
 
@@ -55,8 +60,13 @@ def sensor_calibration(job: Job, outcome: SensorOutcome) -> SensorCalibration:
                 stop=segment.stop,
                 offset=segment.offset.tolist(),
                 sd=segment.sd.tolist(),
+                centre=centre(moments, outcome.estimate, found.noise),
             )
-            for segment in segment_offsets(tiles, outcome.estimate, found.noise)
+            for segment, moments in zip(
+                segment_offsets(tiles, outcome.estimate, found.noise),
+                segment_moments(tiles),
+                strict=True,
+            )
         ],
         covariance=found.estimate.covariance.tolist(),
         envelope=outcome.envelope,
@@ -73,6 +83,16 @@ def sensor_calibration(job: Job, outcome: SensorOutcome) -> SensorCalibration:
         verdicts=verdict_records(outcome.verdicts),
         health=health_findings(outcome.findings),
     )
+
+
+def centre(moments: Moments, estimate: Estimate, noise: Noise) -> Centre:
+    """Return the mean of a segment's rows `[r, dT?, w]`, and how sure the wrench is there.
+
+    Counted from that mean the channels have none, and of the offset's error the noise is left.
+    """
+    about_mean = replace(moments, mean=np.zeros_like(moments.mean))
+    sd = estimate.offset_error(about_mean, noise)
+    return Centre(inputs=moments.mean[:-6].tolist(), sd=sd.tolist())
 
 
 def provenance(job: Job, robot: Robot, digests: Sequence[str]) -> Provenance:

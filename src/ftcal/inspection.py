@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from dataclasses import asdict
 from typing import Any
 
+from ftcal.delay import Delay
 from ftcal.diagnosis import Diagnosis
 from ftcal.recording import Finding, Recording, Signal
 from ftcal.robot import Robot
@@ -18,10 +20,11 @@ def as_record(
     robot: Robot | None,
     phases: Iterable[Phase] = (),
     diagnosis: Diagnosis | None = None,
+    delays: Iterable[Delay] = (),
 ) -> dict[str, Any]:
     """Return signals, findings, contact phases and, with a robot, what of it is logged.
 
-    And the diagnosis, where there is one.
+    And the diagnosis with the delays of the F/T signals, where there is one.
     """
     kinds = {
         "joints": recording.joints,
@@ -43,6 +46,15 @@ def as_record(
     }
     if diagnosis is not None:
         record["diagnosis"] = asdict(diagnosis)
+        record["delays"] = [
+            {
+                "seconds": finite(delay.seconds),
+                "sd": finite(delay.sd),
+                "determined": delay.determined,
+                "message": delay.message,
+            }
+            for delay in delays
+        ]
     if robot is not None:
         logged = {column for signal in recording.joints for column in signal.columns}
         record["robot"] = {
@@ -54,6 +66,11 @@ def as_record(
             "columns_unknown": sorted(logged - set(robot.joints)),
         }
     return record
+
+
+def finite(value: float) -> float | None:
+    """Return a number that JSON can hold."""
+    return value if math.isfinite(value) else None
 
 
 def described(recording: Recording, signal: Signal) -> dict[str, Any]:

@@ -99,16 +99,6 @@ def sub_model_graph(robot: str, nodes: Sequence[Node]) -> Figure:
             "hoverinfo": "skip",
             "showlegend": False,
         },
-        {
-            "type": "scatter",
-            "mode": "text",
-            "x": [0.5 * (a[0] + b[0]) for a, b in ends],
-            "y": [0.5 * (a[1] + b[1]) for a, b in ends],
-            "text": [plain(str(node.sensor)) for node in edges],
-            "textposition": "middle center",
-            "hoverinfo": "skip",
-            "showlegend": False,
-        },
     ]
     for equations, (words, colour, marker) in GAVE.items():
         mine = [node for node in nodes if node.equations == equations]
@@ -129,6 +119,16 @@ def sub_model_graph(robot: str, nodes: Sequence[Node]) -> Figure:
                 }
             )
     across = [x for x, _ in at.values()]
+    layout["annotations"] = [
+        {
+            "x": 0.5 * (a[0] + b[0]),
+            "y": 0.5 * (a[1] + b[1]),
+            "text": plain(str(node.sensor)),
+            "showarrow": False,
+            "bgcolor": "#fff",
+        }
+        for node, (a, b) in zip(edges, ends, strict=True)
+    ]
     hidden = {"visible": False, "fixedrange": True}
     layout["xaxis"] = hidden | {"range": [min(across) - 0.4, max(across) + 0.9]}
     layout["yaxis"] = hidden | {"range": [-depth - 0.4, 0.4]}
