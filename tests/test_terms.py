@@ -83,7 +83,7 @@ def test_features_times_unknowns_are_the_residual_of_the_laws_they_stand_for(
     required[:, 3:] += np.cross(BELIEF.com * np.array(shift), balance.required[:, :3])
     expected = -replace(balance, required=required).residual(readings)[:, : balance.equations]
     table = features(balance, frames, references, BELIEF)
-    found = table @ np.append(-np.concatenate([*unknowns, inertia]), 1.0)
+    found = (table @ np.append(-np.concatenate([*unknowns, inertia]), 1.0)).T
     assert found.shape == (60, balance.equations)
     assert size(found - expected) < ROUNDING * size(table)
     (terms,) = terms_of(balance)
@@ -114,7 +114,7 @@ def test_products_of_many_chunks_are_those_of_all_samples() -> None:
     balance = a_balance(3, count=2 * CHUNK + 77)
     (terms,) = terms_of(balance)
     table = features(balance, frames_of(balance), means_of(balance), BELIEF)
-    direct = np.einsum("ned,nef->edf", table, table)
+    direct = np.einsum("end,enf->edf", table, table)
     assert size(terms.products - direct) < ROUNDING * size(direct)
 
 

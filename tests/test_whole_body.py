@@ -13,12 +13,12 @@ import numpy as np
 import pytest
 
 from ftcal.all_sensors import WholeBody, calibrate_all, known_of
-from ftcal.balances import Balance, balances
+from ftcal.balances import Balance, balances, smoothed
 from ftcal.config import FitSection, Job, read_job
 from ftcal.errors import DataError, FtcalError, JobError
 from ftcal.law import Law
 from ftcal.motion import STANDARD_GRAVITY
-from ftcal.pairing import FtChannel
+from ftcal.pairing import FtChannel, SignalOptions
 from ftcal.pipeline import calibrate, ft_channel
 from ftcal.progress import Steps, silent
 from ftcal.recording import Finding, Recording
@@ -382,6 +382,17 @@ def test_a_frozen_sensor_drops_only_the_equations_it_is_in() -> None:
     assert lost == {"trunk": 0, "l_thigh": 400, "r_thigh": 0, "l_foot": 0, "r_foot": 0}
 
 
+@pytest.mark.xfail(strict=True, reason="the channels are smoothed, the moving transforms are not")
+def test_smoothing_leaves_exact_readings_in_balance() -> None:
+    one = world()
+    for part in raw_balances(one, LEFT):
+        smooth = smoothed(part, SignalOptions())
+        assert smooth is not None
+        left = smooth.residual({name: laws(one)[name].read(x) for name, x in smooth.inputs.items()})
+        # of the 300 N that the walker weighs; 0.3 N are left of the trunk
+        assert abs(left).max() < 0.01, part.sub_model
+
+
 def laws(one: World, scale: float = 1.0) -> dict[str, Law]:
     return {name: Law(scale * one.gain[name], scale * one.offset[name]) for name in SENSORS}
 
@@ -462,23 +473,41 @@ def test_a_break_takes_up_a_step_of_the_offset_and_the_matrix_does_not() -> None
     name = "l_leg_ft_sensor"
     step = np.array([25.0, -15.0, 10.0, 1.0, -2.0, 0.5])
     log = stepped(one, name, 8.0, step)
+    train = [[1, 8], [8, 15], *TEST["train"][1:]]
     clean, broken, blind = (
-        fitted(job([{**TEST, **breaks}]), [recording], one.channels)
+        fitted(job([{**TEST, "train": train, **breaks}]), [recording], one.channels)
         for recording, breaks in (
             (one.recording, {}),
             (log, {"breaks": {name: [8.0]}}),
             (log, {}),
         )
     )
-    errors = [force_error(fit, one, name) for fit in (clean, broken, blind)]
+    errors = [force_error(fit, one, name) for fit in (clean, broken)]
     assert errors[1] < 2 * errors[0]
-    assert errors[2] > 2 * errors[1]
+    left = [
+        next(r.whole_body.force for r in fit.residuals if r.sub_model == "l_thigh" and r.start < 8)
+        for fit in (broken, blind)
+    ]
+    # of the step of 31 N
+    assert left[0] < 0.5
+    assert left[1] > 5.0
     early, late = (
         broken.posterior.theta[broken.posterior.unknowns.places[name, segment]] * FULL_SCALE
         for segment in broken.takes[0].segments[name]
     )
     # w = C r + o of the same w: the offset goes down as the reading goes up
     assert (early - late)[:3] == pytest.approx(step[:3], abs=0.5)
+
+
+@pytest.mark.xfail(strict=True, reason="a stretch that no one segment holds is read with o = 0")
+def test_a_stretch_across_a_break_is_read_with_both_offsets() -> None:
+    one = world(noise=1e-5)
+    split = fitted(
+        job([{**TEST, "breaks": {"l_leg_ft_sensor": [8.0]}}]), [one.recording], one.channels
+    )
+    first = next(r for r in split.residuals if r.sub_model == "l_thigh")
+    # nothing stepped there: what is left is that of the other stretches, 0.1 N
+    assert first.whole_body.force < 1.0
 
 
 def with_mad_test_window(one: World) -> Recording:
@@ -538,6 +567,21 @@ def test_without_test_windows_a_mad_stretch_does_not_read_itself() -> None:
     }
     # had it read itself, a matrix of its own would have fitted it as well as the others fit theirs
     assert pieces[True] > 5.0
+
+
+@pytest.mark.xfail(strict=True, reason="offsets that training did not fit are left at the mean")
+def test_a_recording_held_out_whole_is_read_with_offsets_of_its_own() -> None:
+    one = world(noise=1e-5)
+    later = replace(one.recording, name="later")
+    held_out = {"name": "later", "train": [], "test": [[16, 30]]}
+    found = fitted(job([TEST, held_out]), [one.recording, later], one.channels)
+    left = {
+        one.recording: one.whole_body.force
+        for one in found.residuals
+        if one.held_out and one.sub_model == "trunk"
+    }
+    # the same seconds and more, of the same log
+    assert left["later"] < 2 * left["take"]
 
 
 # ---------------------------------------------------------------------------------- bad input

@@ -21,11 +21,16 @@ from ftcal.config import Job
 from ftcal.errors import OutputError, SensorError
 from ftcal.plots.whole_body import Node, places, sub_model_graph
 from ftcal.recording import Finding
+from ftcal.report.whole_metrics import nodes as sub_models
 from ftcal.whole_pipeline import WholeOutcome, sensor_record, weighings_of
 from ftcal.whole_tables import print_whole
 from test_report import HOSTILE, Elements, drawn, strings, without_plotly
-from test_whole_body import TEST, World, fitted, job, world
+from test_whole_body import World, fitted, job, world
 from walker import SENSORS, WEIGHT, walker
+
+WINDOWS = {"train": [[1, 15], [16, 22], [31, 45]], "test": [[23, 30]]}
+NOISE = 2e-4
+"""Fractions of full scale: enough that rounding decides no verdict."""
 
 
 @cache
@@ -36,7 +41,7 @@ def an_outcome(
 
     With `chosen`, the strength of the prior is chosen by holding out stretches.
     """
-    one = world(noise=1e-5)
+    one = world(noise=NOISE)
     label = f"take{name}"
     kept = [channel for channel in one.channels if channel.sensor in sensors]
     channels = [
@@ -45,7 +50,7 @@ def an_outcome(
     ]
     signals = tuple(replace(s, name=f"{s.name}{name}") for s in one.recording.channels)
     recording = replace(one.recording, name=label, channels=signals)
-    fields = {**TEST, "name": label}
+    fields = {**WINDOWS, "name": label}
     described = job(
         [fields],
         sensors=[{"name": c.sensor, "signal": c.signal} for c in channels],
@@ -77,7 +82,7 @@ def an_outcome(
 
 
 def planted() -> World:
-    return world(noise=1e-5)
+    return world(noise=NOISE)
 
 
 @pytest.fixture(scope="module")
@@ -95,8 +100,8 @@ def test_page_says_what_it_said(page: str) -> None:
 
 
 def test_verdicts_come_first_then_the_robot_then_a_section_for_each_sensor(page: str) -> None:
-    at = [page.index(f'id="{name}"') for name in
-          ("verdict", "robot", "sensor-1", "sensor-2", "sensor-3", "sensor-4", "health")]  # fmt: skip
+    names = ("verdict", "robot", *(f"sensor-{k}" for k in range(1, 5)), "health")
+    at = [page.index(f'id="{name}"') for name in names]
     assert at == sorted(at)
     assert page.index('id="verdict"') < page.index('class="plot"')
     assert len(re.findall(r'<article class="card', page)) == len(SENSORS)
@@ -133,7 +138,7 @@ def test_names_from_a_log_stay_text() -> None:
 
 
 def test_graph_says_what_every_sub_model_gave() -> None:
-    nodes = {node.name: node for node in report.whole_metrics.__globals__["nodes"](an_outcome())}
+    nodes = {node.name: node for node in sub_models(an_outcome())}
     assert set(nodes) == {"trunk", "l_thigh", "r_thigh", "l_foot", "r_foot"}
     assert nodes["trunk"].parent is None
     assert (nodes["r_foot"].parent, nodes["r_foot"].sensor) == ("r_thigh", "r_foot_ft_sensor")

@@ -32,8 +32,12 @@ from ftcal.signals import interpolate, joint_motion, odd_window, smooth_runs, us
 from ftcal.spatial import wrench_transform
 
 if TYPE_CHECKING:
-    from jaxtyping import Bool, Float, Int
+    from jaxtyping import Float, Int
     from numpy import ndarray as Array
+
+
+KEPT = 20
+"""Samples of every smoothing window that are kept: ten times what the filter lets pass."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,7 +84,7 @@ class Balance:
 
     def rows(
         self,
-        where: Bool[Array, "N"] | slice,
+        where: Int[Array, "M"] | slice,
         inputs: Mapping[str, Float[Array, "N P"]] | None = None,
         required: Float[Array, "N 6"] | None = None,
     ) -> Balance:
@@ -121,7 +125,8 @@ def smoothed(balance: Balance, options: SignalOptions) -> Balance | None:
     """Return a balance whose channels and h have passed the filter that `pairing` uses.
 
     The transforms stay: motion is slower than what the filter takes away, the noise of the channels
-    that would bias a fit. None where no stretch is as long as the filter.
+    that would bias a fit. What is left varies slowly: `KEPT` samples of every window are kept. None
+    where no stretch is as long as the filter.
     """
     step = np.diff(balance.time)
     if not len(step):
@@ -137,8 +142,8 @@ def smoothed(balance: Balance, options: SignalOptions) -> Balance | None:
 
     inputs = {name: smooth(values) for name, values in balance.inputs.items()}
     required = smooth(balance.required)
-    kept = np.isfinite(required).all(axis=1)
-    return balance.rows(kept, inputs, required) if kept.any() else None
+    kept = np.flatnonzero(np.isfinite(required).all(axis=1))[:: max(1, window // KEPT)]
+    return balance.rows(kept, inputs, required) if len(kept) else None
 
 
 def free_sub_models(

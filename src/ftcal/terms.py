@@ -171,9 +171,10 @@ def _sum(
     for start in range(0, len(balance.time), CHUNK):
         rows = slice(start, start + CHUNK)
         table = features(balance.rows(rows), frames, references, model)
-        products += np.matmul(table.transpose(1, 2, 0), table.transpose(1, 0, 2))
+        for equation, its_rows in enumerate(table):
+            products[equation] += its_rows.T @ its_rows
         opens = np.flatnonzero(np.diff(index[rows], prepend=-1))
-        sums[index[rows][opens]] += np.add.reduceat(table, opens, axis=0)
+        sums[index[rows][opens]] += np.add.reduceat(table, opens, axis=1).transpose(1, 0, 2)
     sums /= np.maximum(np.bincount(index, minlength=cells), 1)[:, None, None]
     return Terms(stretch, balance.sub_model, sensors, segments, len(balance.time), products, sums)
 
@@ -183,22 +184,29 @@ def features(
     frames: Mapping[str, Frame],
     references: Mapping[str, Float[Array, "P"]],
     model: ModelPrior,
-) -> Float[Array, "N E D"]:
-    """Return `[features, target]` of every sample and equation of a balance."""
+) -> Float[Array, "E N D"]:
+    """Return `[features, target]` of every equation and sample of a balance."""
     equations, count = balance.equations, len(balance.time)
-    target = balance.required[:, :equations]
-    columns = []
+    width = sum(frames[name].unknowns + 6 for name in balance.inputs) + MODEL + 1
+    # equation first: each one's rows are then a matrix of their own for BLAS
+    table = np.zeros((equations, count, width))
+    table[..., -1] = balance.required[:, :equations].T
+    at = 0
     for name, inputs in balance.inputs.items():
         frame = frames[name]
         workbench = frame.workbench
         moved = inputs - references[name]
-        X = balance.transforms[name][:, :equations]
+        X = balance.transforms[name][:, :equations].transpose(1, 0, 2)
         read = moved[:, : workbench.gain.shape[1]] @ workbench.gain.T
-        target = target - np.einsum("nij,nj->ni", X, read)
+        table[..., -1] -= np.einsum("eni,ni->en", X, read)
         lever = X * workbench.full_scale
         y = moved @ frame.basis.T
-        columns += [(lever[..., None] * y[:, None, None, :]).reshape(count, equations, -1), lever]
-    inertia = np.zeros((count, 6, MODEL))
-    inertia[:, :, 0] = -model.mass * balance.required
-    inertia[:, 3:, 1:] = model.com * skew(balance.required[:, :3])
-    return np.concatenate([*columns, inertia[:, :equations], target[..., None]], axis=2)
+        bent = lever[..., None] * y[:, None, :]
+        table[..., at : at + frame.unknowns] = bent.reshape(equations, count, -1)
+        at += frame.unknowns
+        table[..., at : at + 6] = lever
+        at += 6
+    table[..., at] = -model.mass * balance.required[:, :equations].T
+    turned = model.com * skew(balance.required[:, :3])
+    table[3:, :, at + 1 : at + MODEL] = turned.transpose(1, 0, 2)[: max(equations - 3, 0)]
+    return table

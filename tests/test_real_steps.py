@@ -1,0 +1,71 @@
+"""The offset of the right hip sensor in the one public log of the paper's robot: it steps twice.
+
+By eye (README of the data): a step at 22.4 s of 21 N in fx and 15 N in fy that relaxes until 31 s,
+and its reversal at 58.7 s. Found: 22.54 s, unsettled until 27.3 s, and 58.36 s, unsettled until
+60.5 s; the reversal is no sudden one. What stays is 18 N at first, and 22 N go.
+"""
+
+from __future__ import annotations
+
+import functools
+
+import numpy as np
+import pytest
+
+from ftcal.config import read_job
+from ftcal.contact import ContactSchedule, Interval
+from ftcal.health import examine
+from ftcal.logs import Layout, read
+from ftcal.motion import STANDARD_GRAVITY
+from ftcal.pairing import FtChannel
+from ftcal.steps import Step, offset_steps
+from ftcal.urdf import read_robot
+from ftcal.workbench import read_workbench
+from real import GENOVA02, REAL_JOB, needs_genova02
+
+pytestmark = needs_genova02
+
+
+@functools.cache
+def hip() -> tuple[Step, ...]:
+    """Return the steps while the right leg is free."""
+    recording = read(GENOVA02 / "left_leg_support", Layout(zero="right_leg/analog:o"))
+    prior = read_workbench(GENOVA02 / "matrices/matrix_SN026.txt")
+    return offset_steps(
+        recording,
+        read_robot(GENOVA02 / "iCubGenova02.urdf"),
+        FtChannel("r_leg_ft_sensor", "right_leg/analog:o", prior),
+        ContactSchedule((Interval(16.8, 61.5, "l_sole"),)),
+        gravity=STANDARD_GRAVITY,
+        findings=examine(recording),
+    )
+
+
+def near(time: float) -> Step:
+    (step,) = (step for step in hip() if abs(step.time - time) < 1.0)
+    return step
+
+
+@pytest.mark.parametrize("time", [22.4, 58.7])
+def test_the_touch_of_the_cover_and_its_reversal_are_found(time: float) -> None:
+    step = near(time)
+    assert step.time == pytest.approx(time, abs=0.5)
+    assert step.unsettled[0] < time < step.unsettled[1]
+    # 21 N by eye at first; what stays is less
+    assert 10.0 < np.linalg.norm(step.size[:3]) < 30.0
+
+
+def test_the_second_step_takes_back_the_first() -> None:
+    first, second = near(22.4).size[:3], near(58.7).size[:3]
+    cosine = first @ second / np.linalg.norm(first) / np.linalg.norm(second)
+    assert cosine < -0.9
+
+
+def test_what_was_cut_by_hand_is_cut_by_itself() -> None:
+    (section,) = read_job(REAL_JOB).recordings
+    windows = (*(section.train or ()), *section.test)
+    for start, stop in windows:
+        # by eye the last window begins 0.5 s after the reversal, which takes longer
+        cut = sum(max(0.0, min(stop, b) - max(start, a)) for a, b in (s.unsettled for s in hip()))
+        assert cut < 1.5
+        assert not any(start < step.time < stop for step in hip())
