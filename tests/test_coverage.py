@@ -1,8 +1,8 @@
 """How often the true wrench lies in the interval that `apply --sd` predicts, over 50 sessions.
 
-Every session is a new arm sensor with a new gain, drawn as bent as mounting bends one, two takes
-that are logged to files, the whole pipeline, and then loads that neither take held. Noise remembers
-a third of a second. What the arm weighs is known exactly, or each link is wrong by 3 %.
+Every session is a new sensor in the wrist of an arm, its gain bent as mounting bends one; two takes
+logged to files, the whole pipeline, and then loads inside the training envelope that neither take
+held. Noise on the channels remembers a third of a second. The masses are known, or wrong by 3 %.
 """
 
 from __future__ import annotations
@@ -162,19 +162,21 @@ def coverage(some: np.ndarray) -> float:
 def test_ninety_percent_intervals_hold_85_to_95_percent_of_the_true_wrenches(
     sessions: dict[str, np.ndarray],
 ) -> None:
-    """CPR.
+    """87 %, with a standard error of 1.3 % between sessions, from a trained and a held-out take.
 
-    All rows count, also those that keep the prior in directions that the arm did not move.
+    fx and fy hold 80 %: noise on a channel draws its gain towards zero in the direction that moves
+    least (8 times its noise), and no covariance of the fit holds that. With a tenth of the noise
+    they hold 88 and 96 %, all axes 90 %.
     """
-    assert np.isfinite(sessions["right"]).mean() > 0.95
+    right = sessions["right"]
+    assert np.isfinite(right).all()
     for take in (0, 1):
-        assert 0.85 <= coverage(sessions["right"][:, take]) <= 0.95
+        assert 0.85 <= coverage(right[:, take]) <= 0.95
     for axis in range(6):
-        assert 0.75 <= coverage(sessions["right"][..., axis]) <= 0.97
+        # 50 sessions know the share of one axis within about 3 %
+        assert 0.75 <= coverage(right[..., axis]) <= 1.0
 
 
-def test_wrong_masses_are_the_exception_no_residual_shows_them(
-    sessions: dict[str, np.ndarray],
-) -> None:
-    """CPW."""
-    assert coverage(sessions["wrong"]) < coverage(sessions["right"]) - 0.2
+def test_wrong_masses_are_the_exception(sessions: dict[str, np.ndarray]) -> None:
+    """25 %: a gain that reads all loads as too heavy leaves no residual that would show it."""
+    assert coverage(sessions["wrong"]) < 0.5

@@ -9,17 +9,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from ftcal.balances import Balance, balances, smoothed
 from ftcal.contact import ContactSchedule, Interval
-from ftcal.errors import DataError
 from ftcal.health import examine
 from ftcal.motion import STANDARD_GRAVITY, FixedContact
 from ftcal.motions import extended_balancing
-from ftcal.pairing import FtChannel, SignalOptions
+from ftcal.pairing import FtChannel
 from ftcal.recording import Recording, Signal
 from ftcal.robot import Robot
 from ftcal.sensor import Workbench
-from ftcal.steps import Step, balance_steps, offset_steps
+from ftcal.steps import Step, offset_steps
 from ftcal.support import standing_on
 from ftcal.synthetic import Conditions, Faults, OffsetStep, Session, Take, simulate
 from walker import SIGNALS, walker
@@ -28,7 +26,7 @@ if TYPE_CHECKING:
     from jaxtyping import Float
     from numpy import ndarray as Array
 
-LEG, FOOT = "r_leg_ft_sensor", "r_foot_ft_sensor"
+LEG = "r_leg_ft_sensor"
 RIGHT = ("r_hip_roll", "r_hip_pitch", "r_knee", "r_ankle")
 ON_LEFT = ContactSchedule((Interval(0.0, 1e4, "l_sole"),))
 
@@ -44,7 +42,6 @@ def logged(
     seconds: float = 40.0,
     reach: float = 0.6,
     conditions: Conditions | None = None,
-    sensors: tuple[str, ...] = (LEG,),
 ) -> Session:
     """Return a log of a walker on its left that moves its right leg, its sensors bent by 5 %."""
     rng = np.random.default_rng(seed)
@@ -52,7 +49,7 @@ def logged(
     return simulate(
         robot(),
         [Take("wide", moves, standing_on(FixedContact("l_sole")))],
-        sensors={name: SIGNALS[name] for name in sensors},
+        sensors={LEG: SIGNALS[LEG]},
         generator=rng,
         conditions=conditions or Conditions(kappa=0.05),
         faults=Faults(steps=steps),
@@ -64,17 +61,16 @@ def jump(
     force: tuple[float, float, float] = (10.0, -8.0, 8.0),
     *,
     stop: float | None = None,
-    sensor: str = LEG,
 ) -> OffsetStep:
     return OffsetStep(
-        sensor=sensor, take="wide", start=start, stop=stop, wrench=(*force, 0.0, 0.0, 0.0)
+        sensor=LEG, take="wide", start=start, stop=stop, wrench=(*force, 0.0, 0.0, 0.0)
     )
 
 
-def channel(session: Session, sensor: str = LEG) -> FtChannel:
-    board = session.truth[sensor].firmware
+def channel(session: Session) -> FtChannel:
+    board = session.truth[LEG].firmware
     scale = np.asarray(board.full_scale, dtype=np.float64)
-    return FtChannel(sensor, SIGNALS[sensor], Workbench(board.serial, board.matrix, scale))
+    return FtChannel(LEG, SIGNALS[LEG], Workbench(board.serial, board.matrix, scale))
 
 
 def found(session: Session, recording: Recording | None = None) -> tuple[Step, ...]:
@@ -218,38 +214,3 @@ def test_the_message_is_one_line_with_signal_time_and_size() -> None:
     assert step.message.startswith("right_leg/analog:o: offset steps at 20.0")
     assert "unsettled 19." in step.message
     assert "\n" not in step.message
-
-
-def shank(session: Session) -> tuple[Balance, list[FtChannel]]:
-    (recording,) = session.recordings
-    channels = [channel(session, name) for name in (LEG, FOOT)]
-    some = balances(recording, robot(), channels, ON_LEFT, gravity=STANDARD_GRAVITY)
-    (between,) = (balance for balance in some if len(balance.inputs) == 2)
-    smooth = smoothed(between, SignalOptions())
-    assert smooth is not None
-    return smooth, channels
-
-
-def test_a_balance_shows_the_step_of_a_sensor_on_its_border() -> None:
-    for seed in range(3):
-        balance, channels = shank(logged(seed, jump(24.0), sensors=(LEG, FOOT)))
-        (step,) = balance_steps(balance, LEG, channels, SignalOptions())
-        assert step.time == pytest.approx(24.0, abs=1.0)
-        # the unknown offset of the foot looks a little like it
-        np.testing.assert_allclose(step.size[:3], [10.0, -8.0, 8.0], atol=3.0)
-
-
-def test_a_balance_of_healthy_sensors_shows_no_step() -> None:
-    alarms = []
-    for seed in range(20, 28):
-        balance, channels = shank(logged(seed, sensors=(LEG, FOOT)))
-        alarms.append(bool(balance_steps(balance, LEG, channels, SignalOptions())))
-    assert sum(alarms) <= 1
-
-
-def test_a_balance_that_cannot_show_the_sensor_is_refused() -> None:
-    balance, channels = shank(logged(20, sensors=(LEG, FOOT)))
-    with pytest.raises(DataError, match="no sensor on the border of sub-model .* 'l_leg_ft_sensor'"):
-        balance_steps(balance, "l_leg_ft_sensor", channels, SignalOptions())
-    with pytest.raises(DataError, match="by its mass alone"):
-        balance_steps(replace(balance, by_mass=True), LEG, channels, SignalOptions())

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -23,17 +24,19 @@ from ftcal.progress import Steps
 from ftcal.recording import Finding, Recording
 from ftcal.ridge import Estimate
 from ftcal.robot import FtSensor, Robot
-from ftcal.sensor import AXES
+from ftcal.sensor import AXES, Workbench
+from ftcal.solution import Solution
 from ftcal.terms import Frame, ModelPrior, Segment, Terms, summed
 from ftcal.validate import Envelope, HeldOut, Scores, load_envelope, score
 from ftcal.verdict import Verdict, weigh
 from ftcal.whole_body import (
-    NO_BEND,
+    SCALE_SD,
     Choice,
     Normal,
     Posterior,
     Unknowns,
     fit_all,
+    offsets_alone,
     solve,
     stretches_of,
 )
@@ -41,6 +44,9 @@ from ftcal.whole_body import (
 if TYPE_CHECKING:
     from jaxtyping import Float
     from numpy import ndarray as Array
+
+ENOUGH = 5000
+"""Samples of a sub-model in a recording that tables and scores rest on."""
 
 LEAST_SHARE = 0.5
 """Share of the data in a direction below which the prior has the say there."""
@@ -61,42 +67,40 @@ class BalancedTake:
     test: tuple[tuple[float, float], ...]
     """Stretches held out."""
 
+    def thinned(self) -> BalancedTake:
+        """Return the take with samples enough for tables and scores; sums have seen all."""
+        thin = [b.rows(slice(None, None, max(1, len(b.time) // ENOUGH))) for b in self.balances]
+        return replace(self, balances=tuple(thin))
+
     def span(self, segment: Segment) -> tuple[float, float]:
         """Return first and last second of a segment that the balances hold."""
         time = np.concatenate([balance.time for balance in self.balances])
         inside = time[(time >= segment.start) & (time < segment.stop)]
         return float(inside.min()), float(np.nextafter(inside.max(), np.inf))
 
-    def terms(self, frames: Mapping[str, Frame], model: ModelPrior) -> list[Terms]:
-        """Return what the training stretches add to the normal equations."""
+    def terms(
+        self, stretches: Windows, frames: Mapping[str, Frame], model: ModelPrior
+    ) -> list[Terms]:
+        """Return what some stretches add to the normal equations."""
         return [
             term
             for balance in self.balances
-            for stretch in self.train
+            for stretch in stretches
             for term in summed(
                 balance, self.recording, frames, self.references, self.segments, stretch, model
             )
         ]
 
     def laws(
-        self,
-        unknowns: Unknowns,
-        theta: Float[Array, "U"],
-        frames: Mapping[str, Frame],
-        stretch: tuple[float, float],
+        self, solution: Solution, frames: Mapping[str, Frame], stretch: tuple[float, float]
     ) -> dict[str, Law]:
-        """Return the law of every sensor during a stretch; an offset not fitted is left at r0."""
+        """Return the law of every sensor during a stretch, those whose offset is known there."""
         found = {}
-        for name, frame in frames.items():
-            if name in unknowns.entries and name in self.references:
-                E = theta[unknowns.entries[name]].reshape(6, -1)
-                C = frame.coefficients(E)
-                o = np.zeros(6)
-                for segment in self.segments[name]:
-                    known = (name, segment) in unknowns.places
-                    if known and segment.start <= stretch[0] and stretch[1] <= segment.stop:
-                        o = frame.workbench.full_scale * theta[unknowns.places[name, segment]]
-                found[name] = Law(C, o - C @ self.references[name])
+        for name, mine in self.segments.items():
+            for segment in mine:
+                inside = segment.start <= stretch[0] and stretch[1] <= segment.stop
+                if inside and (name, segment) in solution.offsets:
+                    found[name] = solution.law(name, frames[name], segment, self.references[name])
         return found
 
 
@@ -149,8 +153,12 @@ class WholeBody:
     choice: Choice | None
     frames: dict[str, Frame]
     takes: tuple[BalancedTake, ...]
-    before: Float[Array, "U"]
-    """The unknowns with every matrix at its Workbench: what everything is compared with."""
+    workbench: Solution
+    """Every matrix its Workbench, with the offsets that suit best: what is compared with."""
+    whole_body: Solution
+    """The fit, with offsets of what was held out."""
+    together: Scores
+    """Of all sub-models whose six equations are known, on held-out stretches."""
     sensors: tuple[SensorResult, ...]
     residuals: tuple[Residual, ...]
     samples: int
@@ -176,26 +184,46 @@ def calibrate_all(
         )
         for channel in channels
     }
-    takes = []
+    model = ModelPrior(mass=job.whole_body.mass, com=job.whole_body.com)
+    takes: list[BalancedTake] = []
+    terms: list[Terms] = []
+    held: list[Terms] = []
     for section, recording, found in zip(job.recordings, recordings, findings, strict=True):
         steps.begin(f"balancing {section.label}")
-        takes.append(balanced(job, robot, channels, section, recording, found))
-    model = ModelPrior(mass=job.whole_body.mass, com=job.whole_body.com)
-    terms = [term for take in takes for term in take.terms(frames, model)]
+        take = balanced(job, robot, channels, section, recording, found)
+        terms += take.terms(take.train, frames, model)
+        held += take.terms(take.test, frames, model)
+        takes.append(take.thinned())
     steps.begin("fitting all sensors")
     posterior, choice = fit_all(
         terms, frames, kappa=job.fit.strength, strength=job.whole_body.strength
     )
     steps.begin("holding out stretches")
+    noise = posterior.noise
     normal = Normal.of(terms, posterior.unknowns)
-    before, _ = solve(normal, posterior.noise, NO_BEND)
-    predicted = list(predictions(takes, frames, terms, posterior, before))
-    if not predicted:
+    workbench, fitted = (
+        Solution.of(posterior.unknowns, theta).completed(held, frames, noise)
+        for theta in (offsets_alone(normal, noise), posterior.theta)
+    )
+    predicted = list(predictions(takes, frames, terms, posterior, workbench, fitted))
+    pieces = [together(one) for one in predicted if not one.balance.by_mass]
+    if not pieces:
         raise DataError(
             "nothing is held out: name `test` windows, or train on two stretches or more"
         )
+    loads = load_envelope(np.concatenate([piece.model for piece in pieces]))
+    all_of_them = score("all sub-models together", pieces, loads)
     sensors = tuple(
-        sensor_result(robot, channel, frames, takes, predicted, posterior)
+        sensor_result(
+            robot,
+            channel,
+            frames,
+            takes,
+            predicted,
+            posterior=posterior,
+            solution=fitted,
+            all_of_them=all_of_them,
+        )
         for channel in channels
         if channel.sensor in posterior.unknowns.entries
     )
@@ -204,9 +232,11 @@ def calibrate_all(
         choice,
         frames,
         tuple(takes),
-        before,
+        workbench,
+        fitted,
+        all_of_them,
         sensors,
-        tuple(residuals(takes, frames, posterior, before)),
+        tuple(residuals(takes, frames, workbench, fitted)),
         sum(term.count for term in terms),
     )
 
@@ -221,7 +251,7 @@ def balanced(
 ) -> BalancedTake:
     """Return the smoothed balances of one recording and its stretches."""
     options = job.signals.options()
-    raw = balances(
+    found = balances(
         recording,
         robot,
         channels,
@@ -231,20 +261,22 @@ def balanced(
         findings=findings,
         options=options,
         by_mass=job.whole_body.by_mass,
+        reduced=partial(smoothed, seconds=job.whole_body.smoothing),
     )
-    found = [one for balance in raw if (one := smoothed(balance, options)) is not None]
     inputs: dict[str, list[Array]] = {}
     for balance in found:
         for name, values in balance.inputs.items():
             inputs.setdefault(name, []).append(values)
-    spans = [(i.start, i.stop) for i in section.schedule().intervals]
+    steps_at = sorted({time for times in section.breaks.values() for time in times})
+    pieces = list(itertools.pairwise([-np.inf, *steps_at, np.inf]))
+    spans = both([(i.start, i.stop) for i in section.schedule().intervals], pieces)
     train: Windows = ((-np.inf, np.inf),) if section.train is None else section.train
     if section.train is None and section.test:
         train = ()
     held = apart(section.test, train, job.signals.smoothing)
     return BalancedTake(
         recording.name,
-        tuple(found),
+        found,
         {name: np.concatenate(parts).mean(axis=0) for name, parts in inputs.items()},
         {
             channel.sensor: segments(section, named.name)
@@ -283,14 +315,14 @@ def predictions(
     frames: Mapping[str, Frame],
     terms: Sequence[Terms],
     posterior: Posterior,
-    before: Float[Array, "U"],
+    workbench: Solution,
+    fitted: Solution,
 ) -> Iterator[Prediction]:
     """Yield the test windows read by the fit; without any, every stretch read by the others."""
     if any(take.test for take in takes):
         for take in takes:
             for stretch in take.test:
-                laws = [take.laws(posterior.unknowns, t, frames, stretch)
-                        for t in (before, posterior.theta)]  # fmt: skip
+                laws = [take.laws(one, frames, stretch) for one in (workbench, fitted)]
                 yield from _within(take, stretch, *laws)
         return
     by_name = {take.recording: take for take in takes}
@@ -301,11 +333,17 @@ def predictions(
         unknowns = Unknowns.of(rest, frames)
         normal = Normal.of(rest, unknowns)
         noise = {group: posterior.noise[group] for group in normal.products}
-        take = by_name[name]
         stretch = (held[0].stretch.start, max(one.stretch.stop for one in held))
-        laws = [take.laws(unknowns, solve(normal, noise, kappa)[0], frames, stretch)
-                for kappa in (NO_BEND, posterior.kappa)]  # fmt: skip
-        yield from _within(take, stretch, *laws)
+        laws = [
+            by_name[name].laws(
+                Solution.of(unknowns, theta).completed(held, frames, noise), frames, stretch
+            )
+            for theta in (
+                offsets_alone(normal, noise),
+                solve(normal, noise, posterior.kappa)[0],
+            )
+        ]
+        yield from _within(by_name[name], stretch, *laws)
 
 
 def _within(
@@ -316,7 +354,7 @@ def _within(
 ) -> Iterator[Prediction]:
     for balance in take.balances:
         first, last = np.searchsorted(balance.time, stretch)
-        if last - first > 1 and set(balance.inputs) <= workbench.keys():
+        if last - first > 1 and set(balance.inputs) <= workbench.keys() & whole_body.keys():
             part = balance.rows(slice(int(first), int(last)))
             yield Prediction(take, part, workbench, whole_body)
 
@@ -327,12 +365,18 @@ def sensor_result(
     frames: Mapping[str, Frame],
     takes: Sequence[BalancedTake],
     predicted: Sequence[Prediction],
+    *,
     posterior: Posterior,
+    solution: Solution,
+    all_of_them: Scores,
 ) -> SensorResult:
-    """Return what is known of one sensor, judged where its neighbours say what it should read."""
+    """Return what is known of one sensor, judged where its neighbours say what it should read.
+
+    The matrices stand or fall together: each was fitted beside the others.
+    """
     name, frame = channel.sensor, frames[channel.sensor]
     fitted, share = estimate_of(posterior, name, frame)
-    envelope = load_envelope(read_in_training(takes, posterior, frames, name))
+    envelope = load_envelope(read_in_training(takes, solution, frames, name))
     pieces = [held_out_piece(one, name) for one in predicted if judges(one.balance, name)]
     if not pieces:
         raise DataError(
@@ -340,14 +384,9 @@ def sensor_result(
             " `test` windows"
         )
     scores = score("held-out stretches", pieces, envelope)
+    loose = loose_scales(posterior, name)
     verdicts = tuple(
-        weigh(
-            known_of(axis, share[i]),
-            scores.by_name[axis],
-            scores.kind,
-            float(frame.workbench.full_scale[i]),
-            True,
-        )
+        judged(known_of(axis, share[i], loose), scores, all_of_them, frame.workbench, i)
         for i, axis in enumerate(AXES)
     )
     left = np.concatenate([piece.in_situ - piece.model for piece in pieces])
@@ -386,17 +425,66 @@ def estimate_of(
     return Estimate(found[:, :channels], k, covariance), np.clip(share, 0.0, 1.0)
 
 
-def known_of(axis: str, share: Float[Array, "P"]) -> Verdict:
+def loose_scales(posterior: Posterior, sensor: str) -> list[str]:
+    """Return what of a sensor's scale rests on the prior: balances alone do not tell it."""
+    found = []
+    for words, along in posterior.unknowns.scales():
+        if words.endswith(f" of {sensor}"):
+            before = 1.0 / (1.0 / posterior.kappa**2 + 1.0 / SCALE_SD**2)
+            if 1.0 - float(along @ posterior.covariance @ along) / before < LEAST_SHARE:
+                found.append(f"the scale of its {words.split()[0]}")
+    return found
+
+
+def known_of(axis: str, share: Float[Array, "P"], loose: Sequence[str]) -> Verdict:
     """Return what the data could say of a row: the directions in which the prior has the say."""
-    names = (
-        (*AXES, "temperature")
-        if len(share) in (6, 7)
-        else tuple(f"channel {i + 1}" for i in range(len(share)))
-    )
+    names: tuple[str, ...] = (*AXES, "temperature")
+    if len(share) not in (6, 7):
+        names = tuple(f"channel {i + 1}" for i in range(len(share)))
     weak = [n for n, s in zip(names, share, strict=False) if s < LEAST_SHARE]
-    if not weak:
+    if not weak and not loose:
         return Verdict(axis, "ACCEPT", "the data speak in every direction")
-    return Verdict(axis, "PARTIAL", f"prior outweighs the data along {', '.join(weak)}")
+    reasons = [f"prior outweighs the data along {', '.join(weak)}"] if weak else []
+    reasons += [f"{words} rests on the Workbench" for words in loose]
+    return Verdict(axis, "PARTIAL", "; ".join(reasons))
+
+
+def judged(
+    known: Verdict, scores: Scores, all_of_them: Scores, workbench: Workbench, axis: int
+) -> Verdict:
+    """Return the verdict on one axis; all are refused where the sub-models together gain nothing.
+
+    An axis that is not shown to be better by itself is deployed with the others, as PARTIAL: one
+    row put back to the Workbench would no longer suit its neighbours.
+    """
+    whole = all_of_them.by_name["force"]
+    if not whole.interval[1] < 100.0:
+        low, high = whole.interval
+        reason = (
+            f"all sub-models together leave {whole.percent:.0f} % of the Workbench's force on"
+            f" held-out stretches [{low:.0f}, {high:.0f}]; not shown to be better"
+        )
+        return Verdict(known.axis, "REFUSE", reason)
+    found = scores.by_name[known.axis]
+    verdict = weigh(known, found, scores.kind, float(workbench.full_scale[axis]), True)
+    if verdict.use:
+        return verdict
+    return Verdict(
+        known.axis, "PARTIAL", f"{verdict.reason} by itself; used with the others", verdict.figure
+    )
+
+
+def together(one: Prediction) -> HeldOut:
+    """Return a stretch as its sub-model sees it, in its own frame, about the mean."""
+    time = one.balance.time
+    left = []
+    for laws in (one.workbench, one.whole_body):
+        readings = {name: laws[name].read(inputs) for name, inputs in one.balance.inputs.items()}
+        error = one.balance.residual(readings)
+        left.append(one.balance.required + error - error.mean(axis=0))
+    return HeldOut(
+        one.take.recording, float(time[0]), float(time[-1]), time, one.balance.required, *left
+    )
 
 
 def judges(balance: Balance, sensor: str) -> bool:
@@ -423,13 +511,13 @@ def held_out_piece(one: Prediction, sensor: str) -> HeldOut:
 
 
 def read_in_training(
-    takes: Sequence[BalancedTake], posterior: Posterior, frames: Mapping[str, Frame], sensor: str
+    takes: Sequence[BalancedTake], solution: Solution, frames: Mapping[str, Frame], sensor: str
 ) -> Float[Array, "N 6"]:
     """Return what a sensor reads with its new matrix in all stretches trained on [N, Nm]."""
     parts = [np.zeros((0, 6))]
     for take in takes:
         for stretch in take.train:
-            laws = take.laws(posterior.unknowns, posterior.theta, frames, stretch)
+            laws = take.laws(solution, frames, stretch)
             for balance in take.balances:
                 if sensor in balance.inputs and sensor in laws:
                     first, last = np.searchsorted(balance.time, stretch)
@@ -441,17 +529,14 @@ def read_in_training(
 def residuals(
     takes: Sequence[BalancedTake],
     frames: Mapping[str, Frame],
-    posterior: Posterior,
-    before: Float[Array, "U"],
+    workbench: Solution,
+    fitted: Solution,
 ) -> Iterator[Residual]:
     """Yield what is left over of every sub-model in every stretch, before and after."""
     for take in takes:
         for held, stretches in ((False, take.train), (True, take.test)):
             for stretch in stretches:
-                old, new = (
-                    take.laws(posterior.unknowns, theta, frames, stretch)
-                    for theta in (before, posterior.theta)
-                )
+                old, new = (take.laws(one, frames, stretch) for one in (workbench, fitted))
                 for one in _within(take, stretch, old, new):
                     left = [
                         Leftover.of(one.balance.residual(

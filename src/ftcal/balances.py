@@ -14,7 +14,7 @@ Sensors log on clocks of their own; a recording is balanced on that of the first
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -28,7 +28,14 @@ from ftcal.motion import Contact, Motion
 from ftcal.pairing import FtChannel, SignalOptions, contact_motion
 from ftcal.recording import Finding, Recording
 from ftcal.robot import Robot, SubModel
-from ftcal.signals import interpolate, joint_motion, odd_window, smooth_runs, usable
+from ftcal.signals import (
+    SMOOTHING_ORDER,
+    interpolate,
+    joint_motion,
+    odd_window,
+    smooth_runs,
+    usable,
+)
 from ftcal.spatial import wrench_transform
 
 if TYPE_CHECKING:
@@ -36,8 +43,11 @@ if TYPE_CHECKING:
     from numpy import ndarray as Array
 
 
-KEPT = 20
-"""Samples of every smoothing window that are kept: ten times what the filter lets pass."""
+PIECE = 20_000
+"""Samples whose transforms are held at once."""
+
+KEPT = 5
+"""Samples of every smoothing window that are kept: a parabola fitted to it has three unknowns."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,24 +131,23 @@ class Balance:
         return np.asarray(np.linalg.solve(self.transforms[sensor], missing[..., None])[..., 0])
 
 
-def smoothed(balance: Balance, options: SignalOptions) -> Balance | None:
-    """Return a balance whose channels and h have passed the filter that `pairing` uses.
+def smoothed(balance: Balance, seconds: float) -> Balance | None:
+    """Return a balance whose channels and h have passed one zero-phase filter of some `seconds`.
 
-    The transforms stay: motion is slower than what the filter takes away, the noise of the channels
-    that would bias a fit. What is left varies slowly: `KEPT` samples of every window are kept. None
-    where no stretch is as long as the filter.
+    The transforms stay, so the filter must be shorter than the motion of the joints between the
+    sensors; it takes away the noise of the channels that would bias a fit. What is left varies
+    slowly: `KEPT` samples of every window are kept. None where no stretch is as long as the filter.
     """
     step = np.diff(balance.time)
     if not len(step):
         return None
     period = float(np.median(step))
-    pause = max(0.05, 5.0 * period) if options.max_gap is None else options.max_gap
-    edges = [0, *(np.flatnonzero(step > pause) + 1).tolist(), len(balance.time)]
+    edges = [0, *(np.flatnonzero(step > max(0.05, 5.0 * period)) + 1).tolist(), len(balance.time)]
     stretches = [slice(a, b) for a, b in itertools.pairwise(edges)]
-    window = odd_window(options.smoothing, period)
+    window = odd_window(seconds, period)
 
     def smooth(values: Float[Array, "N K"]) -> Float[Array, "N K"]:
-        return smooth_runs(values, stretches, window, options.smoothing_order)
+        return smooth_runs(values, stretches, window, SMOOTHING_ORDER)
 
     inputs = {name: smooth(values) for name, values in balance.inputs.items()}
     required = smooth(balance.required)
@@ -169,14 +178,15 @@ def balances(
     findings: Iterable[Finding] = (),
     options: SignalOptions | None = None,
     by_mass: bool = False,
+    reduced: Callable[[Balance], Balance | None] = lambda balance: balance,
 ) -> tuple[Balance, ...]:
     """Return the balance of every sub-model that is free in some interval of the schedule.
 
     `channels` cut the robot; a sample needs every sensor on its border to be usable. Sub-models
     with joints that are not logged are left out, or enter `by_mass` with those joints at zero,
     where the way from the contact to their sensors is logged. Readings are what a controller sees;
-    a fit takes them `smoothed`. Raises `DataError` where none is left, `RobotError` for unknown
-    names.
+    a fit has them `reduced` (by `smoothed`), piece by piece of at most `PIECE` samples. Raises
+    `DataError` where none is left, `RobotError` for unknown names.
     """
     options = options or SignalOptions()
     findings = tuple(findings)
@@ -208,15 +218,19 @@ def balances(
         rows = known & steady & (seconds >= interval.start) & (seconds < interval.stop)
         if not rows.any():
             continue
-        here = replace(motion.rows(rows), time=seconds[rows])
-        inside = {name: values[rows] for name, values in raw.items()}
-        try:
-            some = _in_interval(robot, here, contact.rows(rows), inside, interval.touching, by_mass)
-        except DataError as error:  # of no sub-model are all joints logged
-            unknown.append(error)
-            continue
-        for part in some:
-            parts.setdefault(part.sub_model, []).append(part)
+        where = np.flatnonzero(rows)
+        for piece in np.array_split(where, -(-len(where) // PIECE)):
+            here = replace(motion.rows(piece), time=seconds[piece])
+            inside = {name: values[piece] for name, values in raw.items()}
+            touching = interval.touching
+            try:
+                some = _in_interval(robot, here, contact.rows(piece), inside, touching, by_mass)
+            except DataError as error:  # of no sub-model are all joints logged
+                unknown.append(error)
+                break
+            for part in map(reduced, some):
+                if part is not None:
+                    parts.setdefault(part.sub_model, []).append(part)
     if not parts and unknown:
         raise DataError(f"recording {recording.name!r}: {unknown[0]}") from unknown[0]
     if not parts:

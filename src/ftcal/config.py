@@ -235,6 +235,8 @@ class WholeBodySection(Section):
 
     strength: Literal["stretches", "evidence"] = "stretches"
     """How kappa is chosen: by holding out stretches in turn, or by the evidence."""
+    smoothing: Positive = 0.25
+    """Window of the filter that channels and h of a balance share [s]."""
     by_mass: bool = False
     """Whether sub-models with joints that are not logged enter by their mass (forces alone)."""
     mass: NotNegative = 0.005

@@ -28,8 +28,6 @@ from numpy.polynomial import legendre
 
 from ftcal.filters import coefficients
 from ftcal.noise import inefficiency
-from ftcal.pairing import SignalOptions
-from ftcal.signals import odd_window
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -59,14 +57,13 @@ LEAST = np.repeat([2e-4, 8e-4], 3)
 sensor (0.3 N and 0.03 Nm of an iCub's; method 7)."""
 
 MEMORY = 1.0
-"""What is left over repeats itself for this long [s] at least (method 7: 20 samples at 20 Hz), and
-for the window of the filter: a fit with a step too many hides it."""
+"""Least time [s] that what is left over repeats itself for: a fit with a step too many hides it."""
 
 ROUNDS = 3
 """Rounds of fit and noise."""
 
-FINE = 12
-"""Times tried between two blocks."""
+FINE, TAPS = 12, 101
+"""Times tried between two blocks, and samples of the filter's window."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -93,29 +90,29 @@ class Blocks:
         time: Float[Array, "N"],
         y: Float[Array, "N P"],
         z: Float[Array, "N 6"],
-        options: SignalOptions,
+        smoothing: float,
+        order: int,
     ) -> Blocks:
-        """Return the blocks of samples that `options` smoothed; none reaches across a hole."""
+        """Return the blocks of samples smoothed over some seconds; none reaches across a hole."""
         period = float(np.median(np.diff(time))) if len(time) > 1 else BLOCK
         length = max(BLOCK, len(time) * period / MOST_BLOCKS)
-        holes = np.flatnonzero(np.diff(time) > max(0.05, 5.0 * period)) + 1
+        holes = np.flatnonzero(np.diff(time) > max(0.5 * smoothing, 1.5 * period)) + 1
         first: list[int] = []
         for a, b in itertools.pairwise([0, *holes.tolist(), len(time)]):
             count = max(1, round((b - a) * period / length))
             first += np.linspace(a, b, count, endpoint=False).astype(int).tolist()
         counts = np.diff([*first, len(time)])
-        window = odd_window(options.smoothing, period)
-        taps = coefficients(window, options.smoothing_order)
-        answer = np.concatenate([[0.0], np.cumsum(taps)])
+        tick = smoothing / TAPS
+        answer = np.concatenate([[0.0], np.cumsum(coefficients(TAPS, order))])
         return Blocks(
             time[first] - 0.5 * period,
             time[np.add(first, counts) - 1] + 0.5 * period,
             np.sqrt(counts / counts.mean()),
             np.add.reduceat(y, first, axis=0) / counts[:, None],
             np.add.reduceat(z, first, axis=0) / counts[:, None],
-            period * (np.arange(window + 1) - 0.5 * window),
-            period * np.concatenate([[0.0], np.cumsum(0.5 * (answer[1:] + answer[:-1]))]),
-            max(MEMORY, options.smoothing, length) / length,
+            tick * (np.arange(TAPS + 1) - 0.5 * TAPS),
+            tick * np.concatenate([[0.0], np.cumsum(0.5 * (answer[1:] + answer[:-1]))]),
+            max(MEMORY, smoothing, length) / length,
         )
 
     @property

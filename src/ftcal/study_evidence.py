@@ -15,6 +15,7 @@ import numpy as np
 from ftcal.calibration import Calibration, Offset, Prior, SensorCalibration
 from ftcal.evidence import (
     acted_link,
+    centre,
     frame_name,
     health_findings,
     provenance,
@@ -89,6 +90,7 @@ def _sensor(
                 stop=segment.stop,
                 offset=estimate.offset(moments).tolist(),
                 sd=estimate.offset_error(moments, noise).tolist(),
+                centre=centre(moments, estimate, noise),
             )
         )
     trained = [one for one in study.first.sets if one.name in {c.training for c in chosen}]

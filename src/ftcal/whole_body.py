@@ -25,6 +25,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from ftcal.errors import DataError
+from ftcal.sensor import AXES
 from ftcal.terms import MODEL, Frame, Segment, Terms
 
 if TYPE_CHECKING:
@@ -40,11 +41,13 @@ WEAK_KAPPA = 0.1
 FIRST_SD = (1.0, 0.1)
 """Noise of forces [N] and torques [Nm] from which its estimate starts."""
 
+SCALE_SD = 0.03
+"""Standard deviation of the common scale of the three forces, and of the three torques, of a sensor
+along their unit vector, whatever kappa is: balances that nothing anchors shrink all matrices to
+zero, and no cross-validation sees it."""
+
 FIRST_MEMORY = 100.0
 """Samples that count as one, from which its estimate starts."""
-
-NO_BEND = 1e-4
-"""Prior that leaves every matrix at the Workbench."""
 
 ROUNDS = 6
 """Rounds of fit and noise; it moves by less than a percent after the fifth."""
@@ -112,13 +115,31 @@ class Unknowns:
         first = self.prior + MODEL * self.models.index(sub_model)
         return slice(first, first + MODEL)
 
-    def precision(self, kappa: float) -> Float[Array, "U"]:
-        """Return the precision of every unknown before any data."""
-        # an offset that nothing determines (two on one static balance) stays at the reference
-        weak = np.full(self.count, 1e-6)
-        weak[: self.prior] = 1.0 / kappa**2
-        weak[self.prior : self.prior + MODEL * len(self.models)] = 1.0
-        return weak
+    def precision(self, kappa: float) -> Float[Array, "U U"]:
+        """Return the precision of the unknowns before any data.
+
+        An offset is believed to be within full scale: one that nothing determines (two on one
+        static balance) stays near its reference.
+        """
+        before = np.ones(self.count)
+        before[: self.prior] = 1.0 / kappa**2
+        precision = np.diag(before)
+        for _, along in self.scales():
+            precision += np.outer(along, along) / SCALE_SD**2
+        return precision
+
+    def scales(self) -> list[tuple[str, Float[Array, "U"]]]:
+        """Return the unit vectors along which the forces, or torques, of a sensor scale."""
+        found = []
+        for name, place in self.entries.items():
+            width = len(self.frames[name].basis)
+            if self.frames[name].workbench.gain.shape[1] != len(AXES):
+                continue  # without a secondary matrix there is no one scale of an axis
+            for axes, kind in ((range(3), "forces"), (range(3, 6), "torques")):
+                along = np.zeros(self.count)
+                along[[place.start + axis * width + axis for axis in axes]] = 3.0**-0.5
+                found.append((f"{kind} of {name}", along))
+        return found
 
     def columns(self, terms: Terms) -> Int[Array, "D-1"]:
         """Return where the features of some terms stand."""
@@ -227,10 +248,29 @@ def solve(
     normal: Normal, noise: Mapping[Group, GroupNoise], kappa: float
 ) -> tuple[Float[Array, "U"], Float[Array, "U U"]]:
     """Return the maximum a posteriori unknowns and their covariance."""
-    A = normal.information(noise) + np.diag(normal.unknowns.precision(kappa))
-    covariance = np.linalg.inv(A)
+    A = normal.information(noise) + normal.unknowns.precision(kappa)
+    # the unknowns differ by orders of magnitude in how well they are known
+    scale = 1.0 / np.sqrt(np.diag(A))
+    covariance = scale[:, None] * np.linalg.inv(scale[:, None] * A * scale) * scale
     covariance = 0.5 * (covariance + covariance.T)
     return covariance @ normal.pull(noise), covariance
+
+
+def offsets_alone(
+    normal: Normal, noise: Mapping[Group, GroupNoise], theta: Float[Array, "U"] | None = None
+) -> Float[Array, "U"]:
+    """Return the unknowns with the offsets that suit best, all else as in `theta`.
+
+    Without it every matrix is the Workbench's and every inertia the robot description's.
+    """
+    unknowns = normal.unknowns
+    first = unknowns.prior + MODEL * len(unknowns.models)
+    found = np.zeros(unknowns.count) if theta is None else theta.copy()
+    A = normal.information(noise)[first:]
+    pull = normal.pull(noise)[first:] - A[:, :first] @ found[:first]
+    held = A[:, first:] + np.eye(unknowns.count - first)
+    found[first:] = np.linalg.solve(held, pull)
+    return found
 
 
 def path(
@@ -241,7 +281,7 @@ def path(
     Offsets and inertia are eliminated first (Schur complement): only the entries of E are held.
     """
     held = normal.unknowns.prior
-    A = normal.information(noise) + np.diag(normal.unknowns.precision(np.inf))
+    A = normal.information(noise) + normal.unknowns.precision(np.inf)
     b = normal.pull(noise)
     cross = np.linalg.solve(A[held:, held:], np.column_stack([A[held:, :held], b[held:]]))
     d, V = np.linalg.eigh(A[:held, :held] - A[:held, held:] @ cross[:, :-1])
@@ -261,7 +301,7 @@ def measured_noise(
     noise = {g: GroupNoise(FIRST_SD[g[1] == "torque"], FIRST_MEMORY) for g in normal.products}
     for _ in range(ROUNDS):
         theta, covariance = solve(normal, noise, kappa)
-        before, _ = solve(normal, noise, NO_BEND)
+        before = offsets_alone(normal, noise)
         noise = {
             group: _noise_of(group, terms, normal, theta, covariance, before, known)
             for group, known in noise.items()
@@ -307,13 +347,15 @@ def memory(
                 series.append(means)
                 per_cell.append(one.count / len(means))
     samples = float(np.mean(per_cell))
+    # half of all samples at most: exact data leave nothing to compare with
+    most = 0.5 * samples * sum(len(means) for means in series)
     best = 1.0
     while sum(len(means) for means in series) >= 8:
         variance = float(np.mean(np.concatenate(series) ** 2))
         best = max(best, samples * variance / max(left, np.finfo(float).tiny))
         series = [0.5 * (means[0 : len(means) - 1 : 2] + means[1::2]) for means in series]
         samples *= 2.0
-    return best
+    return max(1.0, min(best, most))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

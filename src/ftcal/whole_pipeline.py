@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ftcal.all_sensors import SensorResult, WholeBody, both, calibrate_all
-from ftcal.calibration import Calibration, Offset, Prior, SensorCalibration
+from ftcal.calibration import Calibration, Centre, Offset, Prior, SensorCalibration
 from ftcal.config import Job
 from ftcal.evidence import acted_link, frame_name, health_findings, provenance, verdict_records
 from ftcal.pairing import FtChannel
@@ -77,8 +77,8 @@ def weighings_of(
                     if last - first > 1:
                         parts.append(balance.rows(slice(int(first), int(last))))
                 read = []
-                for theta in (fit.before, fit.posterior.theta):
-                    laws = take.laws(fit.posterior.unknowns, theta, fit.frames, (start, stop))
+                for solution in (fit.workbench, fit.whole_body):
+                    laws = take.laws(solution, fit.frames, (start, stop))
                     known = all(name in laws for part in parts for name in part.inputs)
                     read.append(weighed(robot, sensors, interval.touching, parts, laws)
                                 if known else None)  # fmt: skip
@@ -137,15 +137,21 @@ def offset_records(fit: WholeBody, result: SensorResult) -> list[Offset]:
     name = result.channel.sensor
     unknowns, scale = fit.posterior.unknowns, fit.frames[name].workbench.full_scale
     keep = np.array([not verdict.use for verdict in result.verdicts])
+    covariance = np.diag(fit.posterior.covariance)
     records = []
     for take in fit.takes:
         for segment in take.segments.get(name, ()):
-            if (name, segment) not in unknowns.places:
+            key = (name, segment)
+            if key not in fit.whole_body.offsets:
                 continue
-            place = unknowns.places[name, segment]
-            at_mean = np.where(keep, fit.before[place], fit.posterior.theta[place]) * scale
+            old, new = fit.workbench.offsets[key], fit.whole_body.offsets[key]
+            at_mean = np.where(keep, old, new) * scale
             offset = at_mean - result.estimate.coefficients @ take.references[name]
-            sd = np.sqrt(np.diag(fit.posterior.covariance)[place]) * scale
+            trained = key in unknowns.places
+            # of a recording held out whole the offset is only as good as its residual
+            sd = np.sqrt(covariance[unknowns.places[key]]) * scale if trained else result.noise
+            r0 = take.references[name]
+            of_gain = np.einsum("p,ipq,q->i", r0, result.fitted.covariance, r0)
             start, stop = take.span(segment)
             records.append(
                 Offset(
@@ -153,7 +159,8 @@ def offset_records(fit: WholeBody, result: SensorResult) -> list[Offset]:
                     start=start,
                     stop=stop,
                     offset=offset.tolist(),
-                    sd=sd.tolist(),
+                    sd=np.sqrt(sd**2 + of_gain).tolist(),
+                    centre=Centre(inputs=r0.tolist(), sd=sd.tolist()),
                 )
             )
     return records
