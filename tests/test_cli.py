@@ -153,3 +153,21 @@ def test_inspect_proposes_the_contacts_of_a_job(tmp_path: Path) -> None:
 def test_feet_without_a_robot_are_a_usage_error(world: Path) -> None:
     assert run("inspect", world / "one.csv", "--feet", "a", "b").exit_code == 2
     assert run("inspect", world / "one.csv", "--plot", "x.html").exit_code == 2
+
+
+@needs_genova02
+def test_inspect_tells_delays_and_steps_of_offsets() -> None:
+    log, robot = GENOVA02 / "left_leg_support", GENOVA02 / "iCubGenova02.urdf"
+    words = ("inspect", log, "--robot", robot, "--zero", "right_leg/analog:o")
+    asked = ("--feet", "l_sole", "r_sole", "--diagnose")
+    told = run(*words, *asked)
+    assert told.exit_code == 0, told.stderr
+    assert "as described: nothing in the log speaks against" in told.stdout
+    assert "  breaks = { r_leg_ft_sensor = [" in told.stdout
+    record = json.loads(run(*words, *asked, "--json").stdout)
+    assert record["diagnosis"]["word"] == "as described"
+    assert {"seconds", "sd", "determined", "message"} == set(record["delays"][0])
+    # a cover touched the sensor at 22.4 s and let go at 58.7 s (README of the data)
+    first, second = (step["time"] for step in record["steps"]["r_leg_ft_sensor"])
+    assert abs(first - 22.4) < 1.0
+    assert abs(second - 58.7) < 1.0

@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from ftcal.delay import Delay
     from ftcal.diagnosis import Diagnosis
     from ftcal.progress import Progress
+    from ftcal.steps import Step
     from ftcal.timeline import Phase
 
 P = ParamSpec("P")
@@ -126,8 +127,8 @@ def main() -> None:
 @click.option(
     "--diagnose",
     is_flag=True,
-    help="Look for a wrong sign, swapped axes, a wrong frame, a wrong robot (needs --robot, and"
-    " --contact or --feet).",
+    help="Look for a wrong sign, swapped axes, a wrong frame, a wrong robot, for delays and steps of"
+    " offsets (needs --robot, and --contact or --feet).",
 )
 @click.option(
     "--contact",
@@ -186,8 +187,9 @@ def inspect(
             write_plot(plot, contact_timeline(timeline, recording.name))
     verdict: Diagnosis | None = None
     late: tuple[Delay, ...] = ()
+    stepped: dict[str, tuple[Step, ...]] = {}
     if diagnose and model is not None:
-        from ftcal import delay, diagnosis
+        from ftcal import delay, diagnosis, steps
 
         schedule = (
             diagnosis.throughout(recording, contacts) if contacts else diagnosis.touching(phases)
@@ -200,10 +202,13 @@ def inspect(
             findings=findings,
         )
         late = delay.delays(recording, model, schedule, findings=findings)
+        stepped = steps.all_steps(recording, model, schedule, findings=findings)
     if machine:
-        from ftcal.inspection import as_record
+        from ftcal.inspection import as_noticed, as_record
 
-        record = as_record(recording, findings, model, phases, verdict, late)
+        record = as_record(recording, findings, model, phases, verdict)
+        if verdict is not None:
+            record |= as_noticed(late, stepped)
         click.echo(json.dumps(record, indent=1))
         return
     out = console()
@@ -213,8 +218,7 @@ def inspect(
         terminal.print_phases(out, phases)
     if verdict is not None:
         terminal.print_diagnosis(out, verdict)
-        for one in late:
-            out.print(one.message, soft_wrap=True)
+        terminal.print_noticed(out, late, stepped)
 
 
 @main.command(short_help="Calibrate the sensors of a job file.")

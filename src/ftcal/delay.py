@@ -19,6 +19,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -29,14 +30,13 @@ from ftcal.errors import DataError, RobotError
 from ftcal.moments import Moments
 from ftcal.motion import STANDARD_GRAVITY
 from ftcal.noise import inefficiency
-from ftcal.pairing import FtChannel, SignalOptions, pair
+from ftcal.pairing import FtChannel, SignalOptions, matched_channels, pair
 from ftcal.recording import NANOSECONDS, Finding, Recording, Signal
 from ftcal.ridge import ridge_path
 from ftcal.robot import Robot
 from ftcal.samples import Samples
 from ftcal.sensor import AXES, Workbench
 from ftcal.signals import default_gap, interpolate, runs
-from ftcal.timeline import matching_signals
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Int
@@ -103,18 +103,11 @@ def delays(
     *,
     findings: Iterable[Finding] = (),
 ) -> tuple[Delay, ...]:
-    """Return the delay of every F/T signal whose sensor is known and free at times.
-
-    Signals are those of `matching_signals`, calibrated or not; others say nothing of a delay.
-    """
+    """Return the delay of every F/T signal whose sensor is known and free at times."""
     findings = tuple(findings)
     found = []
-    for name, signal in matching_signals(recording, robot).items():
-        values = recording.channel(signal).values
-        # scales the prior alone: several times what the log shows
-        scale = np.maximum(10.0 * values.std(axis=0), np.finfo(float).tiny)
-        channel = FtChannel(name, signal, Workbench("as logged", np.eye(6), scale, "channels"))
-        try:
+    for channel in matched_channels(recording, robot):
+        with suppress(DataError, RobotError):  # not free, or its joints are not logged
             found.append(
                 estimate_delay(
                     recording,
@@ -125,8 +118,6 @@ def delays(
                     findings=findings,
                 )
             )
-        except (DataError, RobotError):  # not free, or its joints are not logged
-            continue
     return tuple(found)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict
 from typing import Any
 
@@ -11,6 +11,7 @@ from ftcal.delay import Delay
 from ftcal.diagnosis import Diagnosis
 from ftcal.recording import Finding, Recording, Signal
 from ftcal.robot import Robot
+from ftcal.steps import Step
 from ftcal.timeline import Phase
 
 
@@ -20,11 +21,10 @@ def as_record(
     robot: Robot | None,
     phases: Iterable[Phase] = (),
     diagnosis: Diagnosis | None = None,
-    delays: Iterable[Delay] = (),
 ) -> dict[str, Any]:
     """Return signals, findings, contact phases and, with a robot, what of it is logged.
 
-    And the diagnosis with the delays of the F/T signals, where there is one.
+    And the diagnosis, where there is one.
     """
     kinds = {
         "joints": recording.joints,
@@ -46,15 +46,6 @@ def as_record(
     }
     if diagnosis is not None:
         record["diagnosis"] = asdict(diagnosis)
-        record["delays"] = [
-            {
-                "seconds": finite(delay.seconds),
-                "sd": finite(delay.sd),
-                "determined": delay.determined,
-                "message": delay.message,
-            }
-            for delay in delays
-        ]
     if robot is not None:
         logged = {column for signal in recording.joints for column in signal.columns}
         record["robot"] = {
@@ -66,6 +57,34 @@ def as_record(
             "columns_unknown": sorted(logged - set(robot.joints)),
         }
     return record
+
+
+def as_noticed(delays: Iterable[Delay], steps: Mapping[str, Iterable[Step]]) -> dict[str, Any]:
+    """Return delays of the F/T signals and steps of their offsets as plain records."""
+    return {
+        "delays": [
+            {
+                "seconds": finite(delay.seconds),
+                "sd": finite(delay.sd),
+                "determined": delay.determined,
+                "message": delay.message,
+            }
+            for delay in delays
+        ],
+        "steps": {
+            sensor: [
+                {
+                    "time": step.time,
+                    "uncertainty": step.uncertainty,
+                    "size": step.size.tolist(),
+                    "unsettled": list(step.unsettled),
+                    "message": step.message,
+                }
+                for step in some
+            ]
+            for sensor, some in steps.items()
+        },
+    }
 
 
 def finite(value: float) -> float | None:

@@ -19,6 +19,7 @@ import numpy as np
 from ftcal.contact import ContactSchedule, Interval
 from ftcal.dynamics import expected_wrenches
 from ftcal.errors import DataError
+from ftcal.firmware import estimate_full_scale
 from ftcal.kinematics import centre_of_mass_in_sensor, gravity_in_sensor
 from ftcal.motion import Contact, FixedContact, MovingContact
 from ftcal.recording import Finding, Recording, Signal, find
@@ -37,6 +38,7 @@ from ftcal.signals import (
     smooth_runs,
     usable,
 )
+from ftcal.timeline import matching_signals
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float
@@ -197,6 +199,23 @@ def pair(
     )
     hanging = Attitude(attitude[kept, :3], attitude[kept, 3:]) if with_attitude else None
     return Paired(samples, len(signal), hanging)
+
+
+def matched_channels(recording: Recording, robot: Robot) -> tuple[FtChannel, ...]:
+    """Return a channel for every F/T signal whose name tells its sensor, without a matrix file.
+
+    The log is believed; the full scale is what its steps show, or else ten times its spread.
+    """
+    found = []
+    for name, signal in matching_signals(recording, robot).items():
+        values = recording.channel(signal).values
+        if values.shape[1] == 6 and len(values):
+            shown = estimate_full_scale(values).astype(np.float64)
+            spread = np.maximum(10.0 * values.std(axis=0), np.finfo(float).tiny)
+            scale = np.where(shown > 0.0, shown, spread)
+            workbench = Workbench("as logged", np.eye(6), scale, "channels")
+            found.append(FtChannel(name, signal, workbench))
+    return tuple(found)
 
 
 def one_sided(robot: Robot, sensor: str, schedule: ContactSchedule) -> ContactSchedule:

@@ -9,13 +9,16 @@ real right hip does; until then no offset holds.
 from __future__ import annotations
 
 from collections.abc import Iterable
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ftcal.contact import ContactSchedule
-from ftcal.pairing import FtChannel, SignalOptions, pair
+from ftcal.errors import DataError, RobotError
+from ftcal.motion import STANDARD_GRAVITY
+from ftcal.pairing import FtChannel, SignalOptions, matched_channels, pair
 from ftcal.recording import Finding, Recording
 from ftcal.ridge import scaling_map
 from ftcal.robot import Robot
@@ -45,6 +48,29 @@ class Step:
     the time, and until what relaxes is lost in the noise. To be left out of training."""
     message: str
     """One line for a person."""
+
+
+def all_steps(
+    recording: Recording,
+    robot: Robot,
+    schedule: ContactSchedule,
+    *,
+    findings: Iterable[Finding] = (),
+) -> dict[str, tuple[Step, ...]]:
+    """Return the steps of every sensor that is known and free at times, by its name."""
+    findings = tuple(findings)
+    found = {}
+    for channel in matched_channels(recording, robot):
+        with suppress(DataError, RobotError):  # not free, or its joints are not logged
+            found[channel.sensor] = offset_steps(
+                recording,
+                robot,
+                channel,
+                schedule,
+                gravity=STANDARD_GRAVITY,
+                findings=findings,
+            )
+    return {name: steps for name, steps in found.items() if steps}
 
 
 def offset_steps(

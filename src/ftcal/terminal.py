@@ -5,7 +5,7 @@ Everything that comes from a log or a file is printed as text, never as markup.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -15,11 +15,13 @@ from rich.padding import Padding
 from rich.table import Table
 from rich.text import Text
 
+from ftcal.delay import Delay
 from ftcal.diagnosis import Diagnosis
 from ftcal.recording import Finding, Recording, Signal
 from ftcal.report.truth import Truth
 from ftcal.robot import Robot
 from ftcal.sensor import AXES
+from ftcal.steps import Step
 from ftcal.timeline import Phase, schedule, to_toml
 from ftcal.validate import Score, Scores
 from ftcal.verdict import Verdict, advice, overall
@@ -229,6 +231,19 @@ def print_diagnosis(console: Console, diagnosis: Diagnosis) -> None:
             text += f" (misfits {low:.2f} to {high:.2f} times as large)"
         console.print(Text(text), soft_wrap=True)
     console.print(Text(f"{diagnosis.word}: {diagnosis.sentence}"), soft_wrap=True)
+
+
+def print_noticed(
+    console: Console, delays: Iterable[Delay], steps: Mapping[str, Sequence[Step]]
+) -> None:
+    """Print delays between joints and F/T signals, and steps of offsets with what to do."""
+    for delay in delays:
+        console.print(Text(delay.message), soft_wrap=True)
+    for sensor, some in steps.items():
+        for step in some:
+            console.print(Text(f"{sensor}: {step.message}"), soft_wrap=True)
+        times = ", ".join(f"{step.time:.2f}" for step in some)
+        console.print(Text(f"  breaks = {{ {sensor} = [{times}] }}"), soft_wrap=True)
 
 
 def print_phases(console: Console, phases: Sequence[Phase]) -> None:

@@ -1,7 +1,7 @@
 """What a person reads of a fit of all sensors in a terminal of 100 columns.
 
-The verdict of each sensor first, then the robot: what is left over where nothing touches, and what
-it weighs on its own sensors.
+The verdict on all together first, then on each sensor, then the robot: what is left over where
+nothing touches, and what it weighs on its own sensors.
 """
 
 from __future__ import annotations
@@ -20,7 +20,8 @@ from ftcal.whole_pipeline import WholeOutcome
 
 
 def print_whole(console: Console, outcome: WholeOutcome) -> None:
-    """Print the verdict of every sensor, then leftovers, masses and the prior."""
+    """Print the verdicts, on all together and on every sensor, then leftovers, masses and prior."""
+    print_together(console, outcome)
     for result in outcome.fit.sensors:
         print_result(console, result)
     for name in undetermined(outcome):
@@ -37,6 +38,19 @@ def print_whole(console: Console, outcome: WholeOutcome) -> None:
         + ("" if choice is None else " (held-out stretches)")
         + f"; the data determine {posterior.spent:.0f} of {posterior.unknowns.prior} entries"
     )
+    console.print()
+
+
+def print_together(console: Console, outcome: WholeOutcome) -> None:
+    """Print whether the matrices are used, which they are together or not at all, and why."""
+    use = "use the new matrices" if outcome.improved else "keep the Workbench matrices"
+    console.print(Text.assemble(("All sensors", "bold"), f": {use}, together or not at all"))
+    shares = []
+    for kind in ("force", "torque"):
+        score = outcome.fit.together.by_name[kind]
+        low, high = score.interval
+        shares.append(f"{kind} {score.percent:.1f} % of Workbench [{low:.1f}, {high:.1f}]")
+    console.print(Text(f"all sub-models, held-out stretches: {', '.join(shares)}"))
     console.print()
 
 

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ftcal import plots
+from ftcal.all_sensors import SensorResult
 from ftcal.calibration import SensorCalibration
 from ftcal.one_sensor import SensorOutcome
 from ftcal.recording import Finding, Recording
@@ -133,7 +134,7 @@ def score_row(score: Score, verdict: Verdict | None) -> Table:
     return {"score": score, "verdict": verdict, "known": np.isfinite(score.interval[1])}
 
 
-def matrices(outcome: SensorOutcome, calibration: SensorCalibration) -> Table:
+def matrices(outcome: SensorOutcome | SensorResult, calibration: SensorCalibration) -> Table:
     """Return the deployed matrices with the standard error of every entry."""
     estimate, workbench = outcome.estimate, outcome.channel.workbench
     channels = estimate.gain.shape[1]

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ftcal.all_sensors import LEAST_SHARE, Residual, SensorResult, WholeBody
+from ftcal.all_sensors import LEAST_SHARE, Residual, SensorResult, WholeBody, loose_scales
 from ftcal.balances import Leftover
 from ftcal.plots import Node
 from ftcal.report.scorecard import by_axis, finite, scores_metrics
@@ -91,6 +91,7 @@ def whole_metrics(
         "recordings": {r.name: {"seconds": r.duration} for r in outcome.recordings},
         "findings": {kind: kinds.count(kind) for kind in sorted(set(kinds))},
         "improved": outcome.improved,
+        "together": scores_metrics(fit.together),
         "undetermined": undetermined(outcome),
         "samples": fit.samples,
         "prior": prior_metrics(fit),
@@ -247,6 +248,7 @@ def sensor_metrics(
             for axis, row in zip(AXES, result.share, strict=True)
         },
         "on_the_prior": on_the_prior(result),
+        "loose_scales": loose_scales(fit.posterior, result.sensor.name),
         "noise": {"sd": by_axis(result.noise), "inefficiency": by_axis(result.inefficiency)},
         "held_out": scores_metrics(result.scores),
     }

@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 from ftcal import plots
-from ftcal.all_sensors import SensorResult
+from ftcal.all_sensors import SensorResult, loose_scales
 from ftcal.report.album import Album, Table, residual_figures
 from ftcal.report.page import health_section, matrices, table_of
 from ftcal.report.rendering import rendered
@@ -53,6 +53,8 @@ def whole_html(
         album,
         name=outcome.robot.name,
         recordings=outcome.recordings,
+        together=table_of(outcome.fit.together, ()),
+        improved=outcome.improved,
         robot=robot,
         sensors=sensors,
         undetermined=undetermined(outcome),
@@ -133,8 +135,8 @@ def sensor_section(
             (direction, "every row" if len(rows) == len(AXES) else f"rows {', '.join(rows)}")
             for direction, rows in on_the_prior(result).items()
         ],
-        # it reads three fields that the results of both scopes have
-        "matrices": matrices(result, record),  # type: ignore[arg-type]
+        "loose": loose_scales(outcome.fit.posterior, name),
+        "matrices": matrices(result, record),
         "truth": None if compared is None else truth_section(names, name, compared, album),
     }
 
