@@ -3,7 +3,7 @@
 `iCubGenova02` (`examples/real_icub/whole_body.toml`): trained on both feet 0-10 s and on the swing,
 judged in the double support 67-75 s that nothing was trained on. `iCubGenova01`: both feet stand
 while the torso sweeps; nothing there says how large a force is, so the scale must not move. Limits
-were measured first and stand 10 % above; where they are those of the issue, it is said.
+were measured first and stand 10 to 15 % above; where they are those of the issue, it is said.
 """
 
 from __future__ import annotations
@@ -11,12 +11,17 @@ from __future__ import annotations
 import functools
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from ftcal.all_sensors import Residual
+from ftcal.all_sensors import Residual, loose_scales
+from ftcal.balances import Leftover
+from ftcal.calibration import read_calibration
 from ftcal.config import Job, read_job
+from ftcal.law import Law
 from ftcal.whole_pipeline import WholeOutcome, calibrate_whole_body
 from real import DATA, ROOT, needs_genova02
+from test_whole_body import reading_amplitude
 
 SWEEP = DATA / "icub-genova01" / "torso_sweep"
 needs_genova01 = pytest.mark.skipif(
@@ -45,15 +50,17 @@ def held_out(outcome: WholeOutcome, sub_model: str, *, after: float = 0.0) -> Re
 @needs_genova02
 def test_right_shank_in_the_last_double_support() -> None:
     left = held_out(standing(), RIGHT_SHANK, after=67.0)
-    # the Workbench, with offsets from the training stretches
-    assert (left.workbench.force, left.workbench.torque) == pytest.approx((16.3, 7.7), rel=0.1)
-    # measured 3.15 N and 1.24 Nm
-    assert left.whole_body.force < 3.5
-    assert left.whole_body.torque < 1.4
+    # the Workbench, with the offsets that suit it best
+    assert (left.workbench.force, left.workbench.torque) == pytest.approx((11.8, 6.0), rel=0.1)
+    # measured 3.84 N and 1.26 Nm
+    assert left.whole_body.force < 4.3
+    assert left.whole_body.torque < 1.45
 
 
 @needs_genova02
-@pytest.mark.xfail(strict=True, reason="measured 3.15 N and 1.24 Nm")
+@pytest.mark.xfail(
+    strict=True, reason="measured 3.84 N and 1.26 Nm, of which 3.2 N and 1.25 Nm about the mean"
+)
 def test_right_shank_in_the_last_double_support_as_the_issue_wants_it() -> None:
     left = held_out(standing(), RIGHT_SHANK, after=67.0)
     assert left.whole_body.force <= 3.0
@@ -61,11 +68,44 @@ def test_right_shank_in_the_last_double_support_as_the_issue_wants_it() -> None:
 
 
 @needs_genova02
+def test_what_is_deployed_reads_the_right_shank_in_the_last_double_support(tmp_path: Path) -> None:
+    fit = standing().fit
+    path = tmp_path / "calibration.json"
+    path.write_text(standing().calibration.model_dump_json())
+    deployed = read_calibration(path)
+    (whole,) = (b for take in fit.takes for b in take.balances if b.sub_model == RIGHT_SHANK)
+    first, last = whole.time.searchsorted([67.0, 75.0])
+    balance = whole.rows(slice(int(first), int(last)))
+    readings = {}
+    for name, inputs in balance.inputs.items():
+        record = deployed.sensor(name)
+        (offset,) = (o for o in record.offsets if o.start <= 67.0 and o.stop > balance.time[-1])
+        readings[name] = Law(record.coefficients, np.array(offset.offset)).read(inputs)
+    left = Leftover.of(balance.residual(readings))
+    before = held_out(standing(), RIGHT_SHANK, after=67.0).workbench
+    # the new matrices as the file has them, against the Workbench with the offsets that suit best
+    assert left.force < 5.0
+    assert left.torque < 2.0
+    assert before.force > 10.0
+    assert before.torque > 5.0
+
+
+@needs_genova02
+def test_all_sub_models_together_are_better_than_with_the_workbench() -> None:
+    found = standing().fit.together.by_name
+    # measured 79 % of force, 90 % interval 56 to 99.8 %: the verdict hangs on little. Torque 84 %,
+    # 36 to 118 %
+    assert found["force"].percent < 90.0
+    assert found["torque"].percent < 95.0
+    assert standing().improved
+
+
+@needs_genova02
 def test_a_swing_that_was_held_out_fits_the_foot_and_the_shank() -> None:
     foot, shank = (held_out(standing(), name, after=46.0) for name in (RIGHT_FOOT, RIGHT_SHANK))
-    # measured 1.03 of 4.92 N and 1.56 of 2.91 N
-    assert foot.whole_body.force < 0.25 * foot.workbench.force
-    assert shank.whole_body.force < 0.6 * shank.workbench.force
+    # measured 0.96 of 4.87 N and 1.76 of 6.04 N
+    assert foot.whole_body.force < 0.23 * foot.workbench.force
+    assert shank.whole_body.force < 0.33 * shank.workbench.force
 
 
 @needs_genova02
@@ -80,16 +120,16 @@ def test_a_swing_that_was_held_out_fits_the_foot_and_the_shank() -> None:
 )
 def test_no_reading_vanishes(sensor: str, least: float, most: float) -> None:
     (result,) = (s for s in standing().fit.sensors if s.sensor.name == sensor)
-    # the issue wants 0.93 to 1.07 of both right ones; the foot reads 0.88, in swing of 3 N alone
+    # the issue wants 0.93 to 1.07 of both right ones; the foot reads 0.90, in swing of 3 N alone
     assert least < result.scores.by_name["force"].amplitude < most
 
 
 @needs_genova02
 def test_the_robot_weighs_what_its_description_says() -> None:
     read = {one.start: one.whole_body for one in standing().weighings}
-    assert len(read) == 5
-    # the issue: 1 %; measured 32.74 to 32.82 kg
-    assert list(read.values()) == pytest.approx([DESCRIBED] * 5, rel=0.01)
+    assert len(read) == 6
+    # the issue: 1 %; measured 32.82 to 32.89 kg
+    assert list(read.values()) == pytest.approx([DESCRIBED] * 6, rel=0.01)
 
 
 @needs_genova02
@@ -99,13 +139,9 @@ def test_an_arm_that_is_not_logged_leaves_the_trunk_three_equations() -> None:
 
 
 @needs_genova02
-@pytest.mark.xfail(
-    strict=True, reason="inertia of 59 prior deviations is in the Workbench's offsets"
-)
-def test_the_workbench_is_compared_with_offsets_that_suit_it() -> None:
-    fit = standing().fit
-    for name in fit.posterior.unknowns.models:
-        assert abs(fit.before[fit.posterior.unknowns.model(name)]).max() < 5.0
+def test_the_workbench_is_compared_with_the_inertia_of_the_description() -> None:
+    for inertia in standing().fit.workbench.inertia.values():
+        assert not inertia.any()
 
 
 SWEEPING = """robot = "{robot}"
@@ -117,6 +153,8 @@ train = [[0, 70]]
 test = [[72, 110]]
 [fit]
 scope = "whole body"
+[whole_body]
+by_mass = {by_mass}
 """
 SENSOR = """[[sensors]]
 name = "{name}"
@@ -125,8 +163,7 @@ full_scale = [1500, 1500, 2000, 35, 35, 25]
 """
 
 
-@functools.cache
-def sweeping(folder: Path) -> Job:
+def sweeping(folder: Path, *, by_mass: bool) -> Job:
     models = pytest.importorskip("icub_models")
     sensors = "".join(
         SENSOR.format(name=f"{side[0]}_{place}_ft", side=side, place=place)
@@ -135,32 +172,72 @@ def sweeping(folder: Path) -> Job:
     )
     job = folder / "job.toml"
     robot = models.get_model_file("iCubGenova01")
-    job.write_text(SWEEPING.format(robot=robot, sensors=sensors, log=SWEEP))
+    job.write_text(
+        SWEEPING.format(robot=robot, sensors=sensors, log=SWEEP, by_mass=str(by_mass).lower())
+    )
     return read_job(job)
 
 
-@pytest.fixture(scope="module")
-def torso(tmp_path_factory: pytest.TempPathFactory) -> WholeOutcome:
-    return calibrate_whole_body(sweeping(tmp_path_factory.mktemp("genova01")))
+@pytest.fixture(scope="module", params=[False, True], ids=["six equations", "and by mass"])
+def torso(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> WholeOutcome:
+    folder = tmp_path_factory.mktemp("genova01")
+    return calibrate_whole_body(sweeping(folder, by_mass=request.param))
 
 
 @needs_genova01
 @pytest.mark.parametrize("shank", [LEFT_SHANK, RIGHT_SHANK])
 def test_torso_sweep_lowers_the_shank_on_held_out_time(torso: WholeOutcome, shank: str) -> None:
     left = held_out(torso, shank)
-    # measured 2.16 of 3.62 N and 1.16 of 4.14 N; 0.18 of 0.57 Nm and 0.23 of 1.30 Nm
-    assert left.whole_body.force < 0.7 * left.workbench.force
-    assert left.whole_body.torque < 0.4 * left.workbench.torque
+    # measured 2.71 of 4.06 N and 2.15 of 4.34 N; 0.20 of 0.68 Nm and 0.29 of 1.25 Nm
+    assert left.whole_body.force < 0.75 * left.workbench.force
+    assert left.whole_body.torque < 0.34 * left.workbench.torque
 
 
 @needs_genova01
-def test_torso_sweep_says_that_torques_rest_on_the_workbench(torso: WholeOutcome) -> None:
+def test_torso_sweep_says_that_all_rests_on_the_workbench(torso: WholeOutcome) -> None:
     for result in torso.fit.sensors:
-        assert {v.word for v in result.verdicts if v.axis[0] == "t"} <= {"PARTIAL", "REFUSE"}
+        assert {verdict.word for verdict in result.verdicts} == {"PARTIAL"}
+        assert loose_scales(torso.fit.posterior, result.sensor.name) == [
+            "the scale of its forces",
+            "the scale of its torques",
+        ]
 
 
 @needs_genova01
-@pytest.mark.xfail(strict=True, reason="measured 1.30 and 0.76 in the left leg")
-def test_torso_sweep_keeps_the_scale(torso: WholeOutcome) -> None:
+def test_torso_sweep_keeps_the_scale_of_every_matrix(torso: WholeOutcome) -> None:
+    posterior = torso.fit.posterior
+    for words, along in posterior.unknowns.scales():
+        # mean of three entries of the diagonal of E; measured -2.3 % in the left foot
+        assert abs(along @ posterior.theta) / 3**0.5 < 0.03, words
+
+
+@needs_genova01
+def test_torso_sweep_keeps_what_all_sensors_read_of_it(torso: WholeOutcome) -> None:
+    found = [reading_amplitude(torso.fit, s.sensor.name) for s in torso.fit.sensors]
+    # measured 1.020 and 0.992
+    assert float(np.prod(found) ** 0.25) == pytest.approx(1.0, abs=0.03)
+    # measured 0.91 to 1.15
+    assert min(found) > 0.8
+    assert max(found) < 1.25
+
+
+@needs_genova01
+@pytest.mark.xfail(
+    strict=True,
+    reason="measured 0.94 and 1.15 in the left foot and leg (0.91 and 1.09 by mass too): their"
+    " Workbenches disagree by 4 N of the 13 N that move",
+)
+def test_torso_sweep_keeps_every_amplitude(torso: WholeOutcome) -> None:
     for result in torso.fit.sensors:
-        assert result.scores.by_name["force"].amplitude == pytest.approx(1.0, abs=0.03)
+        own = reading_amplitude(torso.fit, result.sensor.name)
+        assert own == pytest.approx(1.0, abs=0.03), result.sensor.name
+
+
+@needs_genova01
+def test_torso_sweep_weighs_the_robot_as_the_workbench_does(torso: WholeOutcome) -> None:
+    by_mass = torso.job.whole_body.by_mass
+    # without the part that carries both arms there is nothing to weigh
+    assert len(torso.weighings) == (2 if by_mass else 0)
+    for one in torso.weighings:
+        # measured 31.07 and 31.17 of 31.06 kg; the Workbench reads 30.91 and 30.86
+        assert one.whole_body == pytest.approx(one.model, rel=0.01)

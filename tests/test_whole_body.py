@@ -14,7 +14,7 @@ import pytest
 
 from ftcal.all_sensors import WholeBody, calibrate_all, known_of, loose_scales
 from ftcal.balances import Balance, balances, smoothed
-from ftcal.config import FitSection, Job, read_job
+from ftcal.config import FitSection, Job, WholeBodySection, read_job
 from ftcal.errors import DataError, FtcalError, JobError
 from ftcal.law import Law
 from ftcal.motion import STANDARD_GRAVITY
@@ -62,7 +62,7 @@ SPANS = (HANGING, LEFT, RIGHT)
 ALWAYS = Segment("take", -np.inf, np.inf)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class World:
     """What the walker logged, and the sensors that logged it."""
 
@@ -99,6 +99,7 @@ def world(seed: int = 0, *, kappa: float = 0.02, noise: float = 0.0) -> World:
     return World(replace(log, channels=tuple(signals)), channels, gain, offset)
 
 
+@cache
 def raw_balances(one: World, *spans: tuple[float, float, str]) -> tuple[Balance, ...]:
     contacts = schedule(*(spans or SPANS))
     return balances(one.recording, walker(), one.channels, contacts, gravity=STANDARD_GRAVITY)
@@ -289,8 +290,8 @@ def test_balances_between_two_sensors_leave_their_common_scale_at_the_prior() ->
     posterior = gauge(2)
     for name in ("s0", "s1"):
         assert abs(posterior.entries(name)).max() < 1e-9
-        # their difference is known, their sum is not: half of each is the prior's, which is narrower
-        # by `SCALE_SD` along one direction in three of the diagonal
+        # their difference is known, their sum is not: half of each is the prior's, and less of the
+        # diagonal's, a third of which is held by `SCALE_SD`
         along = 1.0 / (1.0 + (posterior.kappa / SCALE_SD) ** 2)
         expected = 0.5 + 0.5 * (1.0 - along) / 3.0 * np.eye(6)
         # to the noise over the load
@@ -298,7 +299,9 @@ def test_balances_between_two_sensors_leave_their_common_scale_at_the_prior() ->
         assert {verdict.word for verdict in known(posterior, name)} == {"PARTIAL"}
 
 
-@pytest.mark.xfail(strict=True, reason="k sensors of one gauge have a share of 1 - 1/k each")
+@pytest.mark.xfail(
+    strict=True, reason="each is asked alone: k of one gauge have 1 - 1/k, 3 have 0.67"
+)
 @pytest.mark.parametrize("sensors", [3, 4])
 def test_balances_between_more_sensors_say_that_the_common_scale_is_the_priors(
     sensors: int,
@@ -387,7 +390,8 @@ def test_smoothing_leaves_exact_readings_in_balance() -> None:
         smooth = smoothed(part, WholeBodySection().smoothing)
         assert smooth is not None
         left = smooth.residual({name: laws(one)[name].read(x) for name, x in smooth.inputs.items()})
-        # of the 300 N that the walker weighs; 0.3 N are left of the trunk
+        # of the 300 N that the walker weighs; 0.004 N are left of the trunk, where the transforms,
+        # which are not smoothed, move most
         assert abs(left).max() < 0.01, part.sub_model
 
 
@@ -445,6 +449,16 @@ def fitted(described: Job, recordings: Sequence[Recording], channels: list[FtCha
     )
 
 
+TEST = {"train": [[1, 15], [16, 25], [31, 45]], "test": [[26, 30]]}
+
+
+@cache
+def tested() -> WholeBody:
+    """Return the fit of the walk with little noise, four seconds of it held out."""
+    one = world(noise=1e-5)
+    return fitted(job([TEST]), [one.recording], one.channels)
+
+
 def stepped(one: World, sensor: str, at: float, step: Float[Array, "6"]) -> Recording:
     """Return the log with the reading of a sensor moved by `step` [N, Nm] from `at` [s] on."""
     channels = []
@@ -455,9 +469,6 @@ def stepped(one: World, sensor: str, at: float, step: Float[Array, "6"]) -> Reco
             values[late] += np.linalg.solve(one.gain[sensor], step)
         channels.append(replace(channel, values=values))
     return replace(one.recording, channels=tuple(channels))
-
-
-TEST = {"train": [[1, 15], [16, 25], [31, 45]], "test": [[26, 30]]}
 
 
 def force_error(fit: WholeBody, one: World, sensor: str) -> float:
@@ -519,29 +530,81 @@ def with_mad_test_window(one: World) -> Recording:
 
 
 def test_held_out_seconds_do_not_change_the_fit() -> None:
-    one = world(noise=1e-5)
-    sane, absurd = (
-        fitted(job([TEST]), [recording], one.channels)
-        for recording in (one.recording, with_mad_test_window(one))
-    )
+    one, sane = world(noise=1e-5), tested()
+    absurd = fitted(job([TEST]), [with_mad_test_window(one)], one.channels)
     for name in SENSORS:
         before, after = sane.posterior.entries(name), absurd.posterior.entries(name)
         # r0, the mean of all that is balanced, moves; the offset follows, the matrix stays but for
-        # the rounding of a system of condition 1e13 (see the next test)
-        assert abs(before - after)[:3].max() < 1e-3
+        # how far an offset is held to r0 by its prior
+        assert abs(before - after).max() < 1e-5
     errors = [fit.sensors[2].scores.by_name["force"].rms for fit in (sane, absurd)]
     assert errors[1] > 20 * errors[0]
 
 
 def test_solution_does_not_depend_on_the_scale_of_the_unknowns() -> None:
-    one = world(noise=1e-5)
-    fit = fitted(job([TEST]), [one.recording], one.channels)
-    terms = [term for take in fit.takes for term in take.terms(take.train, fit.frames, ModelPrior())]
+    fit = tested()
+    terms = [
+        term for take in fit.takes for term in take.terms(take.train, fit.frames, ModelPrior())
+    ]
     normal, posterior = Normal.of(terms, fit.posterior.unknowns), fit.posterior
     A = normal.information(posterior.noise) + normal.unknowns.precision(posterior.kappa)
     d = 1.0 / np.sqrt(np.diag(A))
     scaled = d * np.linalg.solve(d[:, None] * A * d, d * normal.pull(posterior.noise))
-    assert abs(scaled - posterior.theta).max() < 1e-4
+    assert abs(scaled - posterior.theta).max() < 1e-5
+
+
+def reading_amplitude(fit: WholeBody, sensor: str) -> float:
+    """Return how much the force of a sensor moves in the test window, over the Workbench's."""
+    (take,) = fit.takes
+    (stretch,) = take.test
+    balance = next(one for one in take.balances if sensor in one.inputs)
+    first, last = np.searchsorted(balance.time, stretch)
+    new, old = (
+        take.laws(solution, fit.frames, stretch)[sensor].read(balance.inputs[sensor][first:last])
+        for solution in (fit.whole_body, fit.workbench)
+    )
+    spread = [np.linalg.norm(read[:, :3].std(axis=0)) for read in (new, old)]
+    return float(spread[0] / spread[1])
+
+
+@pytest.mark.xfail(
+    strict=True,
+    reason="the score's Workbench carries its neighbours' errors: 0.38 for 0.99 in the right foot",
+)
+def test_amplitude_is_of_what_the_workbench_of_the_sensor_itself_reads() -> None:
+    fit = tested()
+    for result in fit.sensors:
+        own = reading_amplitude(fit, result.sensor.name)
+        assert result.scores.by_name["force"].amplitude == pytest.approx(own, rel=0.1)
+
+
+def test_matrices_are_used_together_or_not_at_all() -> None:
+    one, straight = world(noise=1e-5), world(kappa=0.0, noise=1e-5)
+    # held out, the sensors are what their Workbench says: what training found is worse there
+    channels = tuple(
+        replace(
+            bent_one,
+            values=np.where(
+                one.recording.seconds(bent_one)[:, None] > 25.5,
+                straight_one.values,
+                bent_one.values,
+            ),
+        )
+        for bent_one, straight_one in zip(
+            one.recording.channels, straight.recording.channels, strict=True
+        )
+    )
+    sane, wrong = (
+        fitted(job([{"train": [[1, 15], [16, 25]], "test": [[26, 30]]}]), [log], one.channels)
+        for log in (one.recording, replace(one.recording, channels=channels))
+    )
+    assert sane.together.by_name["force"].interval[1] < 100.0
+    assert all(verdict.use for result in sane.sensors for verdict in result.verdicts)
+    assert wrong.together.by_name["force"].interval[1] >= 100.0
+    for result in wrong.sensors:
+        assert {verdict.word for verdict in result.verdicts} == {"REFUSE"}
+        assert "all sub-models together leave" in result.verdicts[0].reason
+        assert np.array_equal(result.estimate.gain, result.channel.workbench.gain)
 
 
 def test_without_test_windows_a_mad_stretch_does_not_read_itself() -> None:
@@ -746,7 +809,7 @@ def test_all_at_once_reads_loads_better_than_the_workbench(errors: dict[str, flo
 
 
 @pytest.mark.slow
-@pytest.mark.xfail(strict=True, reason="both leave 1.7 N: single stance loads each sensor already")
+@pytest.mark.xfail(strict=True, reason="measured 1.72 and 1.71 N: single stance loads each already")
 def test_all_at_once_reads_loads_three_times_better_than_six_fits(errors: dict[str, float]) -> None:
     assert errors["all"] < errors["each"] / 3
 

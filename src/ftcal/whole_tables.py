@@ -49,8 +49,8 @@ def print_together(console: Console, outcome: WholeOutcome) -> None:
     for kind in ("force", "torque"):
         score = outcome.fit.together.by_name[kind]
         low, high = score.interval
-        shares.append(f"{kind} {score.percent:.1f} % of Workbench [{low:.1f}, {high:.1f}]")
-    console.print(Text(f"all sub-models, held-out stretches: {', '.join(shares)}"))
+        shares.append(f"{kind} {score.percent:.1f} % [{low:.1f}, {high:.1f}]")
+    console.print(Text(f"all sub-models, held out, of Workbench: {', '.join(shares)}"))
     console.print()
 
 
