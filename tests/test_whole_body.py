@@ -453,7 +453,7 @@ TEST = {"train": [[1, 15], [16, 25], [31, 45]], "test": [[26, 30]]}
 
 
 @cache
-def tested() -> WholeBody:
+def fit_of_a_walk() -> WholeBody:
     """Return the fit of the walk with little noise, four seconds of it held out."""
     one = world(noise=1e-5)
     return fitted(job([TEST]), [one.recording], one.channels)
@@ -530,7 +530,7 @@ def with_mad_test_window(one: World) -> Recording:
 
 
 def test_held_out_seconds_do_not_change_the_fit() -> None:
-    one, sane = world(noise=1e-5), tested()
+    one, sane = world(noise=1e-5), fit_of_a_walk()
     absurd = fitted(job([TEST]), [with_mad_test_window(one)], one.channels)
     for name in SENSORS:
         before, after = sane.posterior.entries(name), absurd.posterior.entries(name)
@@ -542,7 +542,7 @@ def test_held_out_seconds_do_not_change_the_fit() -> None:
 
 
 def test_solution_does_not_depend_on_the_scale_of_the_unknowns() -> None:
-    fit = tested()
+    fit = fit_of_a_walk()
     terms = [
         term for take in fit.takes for term in take.terms(take.train, fit.frames, ModelPrior())
     ]
@@ -572,7 +572,7 @@ def reading_amplitude(fit: WholeBody, sensor: str) -> float:
     reason="the score's Workbench carries its neighbours' errors: 0.38 for 0.99 in the right foot",
 )
 def test_amplitude_is_of_what_the_workbench_of_the_sensor_itself_reads() -> None:
-    fit = tested()
+    fit = fit_of_a_walk()
     for result in fit.sensors:
         own = reading_amplitude(fit, result.sensor.name)
         assert result.scores.by_name["force"].amplitude == pytest.approx(own, rel=0.1)

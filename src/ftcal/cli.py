@@ -127,8 +127,8 @@ def main() -> None:
 @click.option(
     "--diagnose",
     is_flag=True,
-    help="Look for a wrong sign, swapped axes, a wrong frame, a wrong robot, for delays and steps of"
-    " offsets (needs --robot, and --contact or --feet).",
+    help="Look for a wrong sign, swapped axes, a wrong frame, a wrong robot, for delays and steps"
+    " of offsets (needs --robot, and --contact or --feet).",
 )
 @click.option(
     "--contact",
