@@ -60,6 +60,8 @@ HANGING, LEFT, RIGHT = (1.0, 15.0, "trunk"), (16.0, 30.0, "l_sole"), (31.0, 45.0
 SECONDS = 46.0
 SPANS = (HANGING, LEFT, RIGHT)
 ALWAYS = Segment("take", -np.inf, np.inf)
+WALKER = walker()
+"""One for all: what is compiled of a robot is kept with it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -86,7 +88,7 @@ def world(seed: int = 0, *, kappa: float = 0.02, noise: float = 0.0) -> World:
     """
     rng = np.random.default_rng(seed)
     log = moved(LEGS, rng, seconds=SECONDS)
-    felt = ideal(log, walker(), SENSORS, schedule(*SPANS))
+    felt = ideal(log, WALKER, SENSORS, schedule(*SPANS))
     priors = {name: replace(workbench(k), logged="channels") for k, name in enumerate(SENSORS)}
     gain = {name: bent(prior, rng, kappa) for name, prior in priors.items()}
     offset = {name: rng.uniform(-0.1, 0.1, 6) * FULL_SCALE for name in SENSORS}
@@ -102,7 +104,7 @@ def world(seed: int = 0, *, kappa: float = 0.02, noise: float = 0.0) -> World:
 @cache
 def raw_balances(one: World, *spans: tuple[float, float, str]) -> tuple[Balance, ...]:
     contacts = schedule(*(spans or SPANS))
-    return balances(one.recording, walker(), one.channels, contacts, gravity=STANDARD_GRAVITY)
+    return balances(one.recording, WALKER, one.channels, contacts, gravity=STANDARD_GRAVITY)
 
 
 def frames_of(one: World) -> dict[str, Frame]:
@@ -348,7 +350,7 @@ def test_a_sub_model_with_joints_not_logged_gives_three_rows() -> None:
         part.sub_model: part
         for part in balances(
             one.recording,
-            with_arm(walker()),
+            with_arm(WALKER),
             one.channels,
             contacts,
             gravity=STANDARD_GRAVITY,
@@ -372,7 +374,7 @@ def test_a_frozen_sensor_drops_only_the_equations_it_is_in() -> None:
     for findings in ((), (frozen,)):
         parts = balances(
             one.recording,
-            walker(),
+            WALKER,
             one.channels,
             schedule(*SPANS),
             gravity=STANDARD_GRAVITY,
@@ -403,26 +405,26 @@ def laws(one: World, scale: float = 1.0) -> dict[str, Law]:
 def test_true_sensors_weigh_the_robot(span: tuple[float, float, str]) -> None:
     one = world()
     parts = raw_balances(one, span)
-    mass = weighed(walker(), SENSORS, (span[2],), parts, laws(one))
+    mass = weighed(WALKER, SENSORS, (span[2],), parts, laws(one))
     # accelerations average out only nearly: a thousandth of what it weighs
-    assert mass == pytest.approx(walker().mass, rel=1e-3)
+    assert mass == pytest.approx(WALKER.mass, rel=1e-3)
 
 
 def test_sensors_off_by_a_scale_weigh_what_they_carry_off_by_it() -> None:
     one = world()
     parts = raw_balances(one, LEFT)
-    true, off = (weighed(walker(), SENSORS, ("l_sole",), parts, laws(one, s)) for s in (1.0, 1.07))
+    true, off = (weighed(WALKER, SENSORS, ("l_sole",), parts, laws(one, s)) for s in (1.0, 1.07))
     assert true is not None
     assert off is not None
     # all that is above the left foot's sensor
-    carried = walker().mass - walker().links["l_foot"].mass
+    carried = WALKER.mass - WALKER.links["l_foot"].mass
     assert off - true == pytest.approx(0.07 * carried, rel=1e-3)
 
 
 def test_a_robot_that_is_mostly_touched_is_not_weighed() -> None:
     one = world()
     parts = raw_balances(one, HANGING)
-    assert weighed(walker(), SENSORS, ("trunk",), parts, laws(one)) is None
+    assert weighed(WALKER, SENSORS, ("trunk",), parts, laws(one)) is None
 
 
 # --------------------------------------------------------------------------------- end to end
@@ -445,7 +447,7 @@ def job(recordings: Sequence[Mapping[str, Any]] | None = None, **more: Any) -> J
 def fitted(described: Job, recordings: Sequence[Recording], channels: list[FtChannel]) -> WholeBody:
     nothing: list[tuple[()]] = [() for _ in recordings]
     return calibrate_all(
-        described, walker(), channels, recordings, nothing, Steps(silent, 2 * len(recordings) + 3)
+        described, WALKER, channels, recordings, nothing, Steps(silent, 2 * len(recordings) + 3)
     )
 
 
