@@ -113,14 +113,14 @@ def test_a_swing_that_was_held_out_fits_the_foot_and_the_shank() -> None:
     ("sensor", "least", "most"),
     [
         ("r_leg_ft_sensor", 0.93, 1.07),
-        ("l_leg_ft_sensor", 0.93, 1.07),
-        ("r_foot_ft_sensor", 0.85, 1.0),
-        ("l_foot_ft_sensor", 0.85, 1.0),
+        ("r_foot_ft_sensor", 0.93, 1.07),
+        ("l_leg_ft_sensor", 0.9, 1.07),
+        ("l_foot_ft_sensor", 0.9, 1.07),
     ],
 )
 def test_no_reading_vanishes(sensor: str, least: float, most: float) -> None:
     (result,) = (s for s in standing().fit.sensors if s.sensor.name == sensor)
-    # the issue wants 0.93 to 1.07 of both right ones; the foot reads 0.90, in swing of 3 N alone
+    # the issue wants 0.93 to 1.07 of both right ones; measured 1.01, 1.03 and 0.94, 0.93
     assert least < result.scores.by_name["force"].amplitude < most
 
 

@@ -301,9 +301,6 @@ def test_balances_between_two_sensors_leave_their_common_scale_at_the_prior() ->
         assert {verdict.word for verdict in known(posterior, name)} == {"PARTIAL"}
 
 
-@pytest.mark.xfail(
-    strict=True, reason="each is asked alone: k of one gauge have 1 - 1/k, 3 have 0.67"
-)
 @pytest.mark.parametrize("sensors", [3, 4])
 def test_balances_between_more_sensors_say_that_the_common_scale_is_the_priors(
     sensors: int,
@@ -569,10 +566,6 @@ def reading_amplitude(fit: WholeBody, sensor: str) -> float:
     return float(spread[0] / spread[1])
 
 
-@pytest.mark.xfail(
-    strict=True,
-    reason="the score's Workbench carries its neighbours' errors: 0.38 for 0.99 in the right foot",
-)
 def test_amplitude_is_of_what_the_workbench_of_the_sensor_itself_reads() -> None:
     fit = fit_of_a_walk()
     for result in fit.sensors:

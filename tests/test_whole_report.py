@@ -144,9 +144,6 @@ def test_matrices_that_are_not_better_together_are_all_kept_from_use() -> None:
     assert not report.whole_metrics(outcome)["improved"]
 
 
-@pytest.mark.xfail(
-    strict=True, reason="`sensor_result` gives every axis the loose scales of both kinds"
-)
 def test_a_scale_of_torques_that_rests_on_the_prior_is_not_held_against_forces() -> None:
     outcome = an_outcome(chosen=True)
     (foot,) = (s for s in outcome.fit.sensors if s.sensor.name == "l_foot_ft_sensor")

@@ -27,7 +27,7 @@ from ftcal.robot import FtSensor, Robot
 from ftcal.sensor import AXES, Workbench
 from ftcal.solution import Solution
 from ftcal.terms import Frame, ModelPrior, Segment, Terms, summed
-from ftcal.validate import Envelope, HeldOut, Scores, load_envelope, score
+from ftcal.validate import GROUPS, Envelope, HeldOut, Scores, load_envelope, score
 from ftcal.verdict import Verdict, weigh
 from ftcal.whole_body import (
     SCALE_SD,
@@ -383,7 +383,7 @@ def sensor_result(
             f"sensor {name!r}: no held-out stretch beside it has all six equations; name other"
             " `test` windows"
         )
-    scores = score("held-out stretches", pieces, envelope)
+    scores = with_amplitudes(score("held-out stretches", pieces, envelope), predicted, name)
     loose = loose_scales(posterior, name)
     verdicts = tuple(
         judged(known_of(axis, share[i], loose), scores, all_of_them, frame.workbench, i)
@@ -426,13 +426,28 @@ def estimate_of(
 
 
 def loose_scales(posterior: Posterior, sensor: str) -> list[str]:
-    """Return what of a sensor's scale rests on the prior: balances alone do not tell it."""
+    """Return what of a sensor's scale rests on the prior: balances alone do not tell it.
+
+    Several sensors may know each other's scale and not the one they share.
+    """
+    before = 1.0 / (1.0 / posterior.kappa**2 + 1.0 / SCALE_SD**2)
     found = []
-    for words, along in posterior.unknowns.scales():
-        if words.endswith(f" of {sensor}"):
-            before = 1.0 / (1.0 / posterior.kappa**2 + 1.0 / SCALE_SD**2)
-            if 1.0 - float(along @ posterior.covariance @ along) / before < LEAST_SHARE:
-                found.append(f"the scale of its {words.split()[0]}")
+    for kind in ("forces", "torques"):
+        scales = {w: along for w, along in posterior.unknowns.scales() if w.startswith(kind)}
+        own = scales.get(f"{kind} of {sensor}")
+        common = (
+            sum(scales.values(), np.zeros(posterior.unknowns.count)) / max(len(scales), 1) ** 0.5
+        )
+        for words, along in (
+            (f"the scale of its {kind}", own),
+            (f"the common scale of all {kind}", common),
+        ):
+            if (
+                along is not None
+                and float(along @ posterior.covariance @ along) > (1.0 - LEAST_SHARE) * before
+            ):
+                found.append(words)
+                break
     return found
 
 
@@ -442,10 +457,11 @@ def known_of(axis: str, share: Float[Array, "P"], loose: Sequence[str]) -> Verdi
     if len(share) not in (6, 7):
         names = tuple(f"channel {i + 1}" for i in range(len(share)))
     weak = [n for n, s in zip(names, share, strict=False) if s < LEAST_SHARE]
-    if not weak and not loose:
+    kind = "forces" if axis.startswith("f") else "torques"
+    if not weak and not any(words.endswith(kind) for words in loose):
         return Verdict(axis, "ACCEPT", "the data speak in every direction")
     reasons = [f"prior outweighs the data along {', '.join(weak)}"] if weak else []
-    reasons += [f"{words} rests on the Workbench" for words in loose]
+    reasons += [f"{words} rests on the Workbench" for words in loose if words.endswith(kind)]
     return Verdict(axis, "PARTIAL", "; ".join(reasons))
 
 
@@ -472,6 +488,25 @@ def judged(
     return Verdict(
         known.axis, "PARTIAL", f"{verdict.reason} by itself; used with the others", verdict.figure
     )
+
+
+def with_amplitudes(scores: Scores, predicted: Sequence[Prediction], sensor: str) -> Scores:
+    """Return the scores with the amplitude of the sensor's own reading over its Workbench's.
+
+    The pieces of `held_out_piece` carry the errors of the neighbours too, and so no amplitude.
+    """
+    moved = np.zeros((2, 6))
+    for one in predicted:
+        if judges(one.balance, sensor):
+            for which, laws in enumerate((one.whole_body, one.workbench)):
+                read = laws[sensor].read(one.balance.inputs[sensor])
+                moved[which] += ((read - read.mean(axis=0)) ** 2).sum(axis=0)
+    by_name = {}
+    for name, columns in GROUPS.items():
+        new, old = (float(one[columns].sum()) for one in moved)
+        ratio = (new / old) ** 0.5 if old > 0 else float("inf")
+        by_name[name] = replace(scores.by_name[name], amplitude=ratio)
+    return replace(scores, by_name=by_name)
 
 
 def together(one: Prediction) -> HeldOut:
