@@ -12,10 +12,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
 from ftcal import logs
 from ftcal.archive import Shelf, packed
 from ftcal.balances import Balance
+from ftcal.cli import main
 from ftcal.config import read_job
 from ftcal.contact import ContactSchedule, Interval
 from ftcal.errors import DataError, FtcalError, JobError, RobotError
@@ -863,3 +865,24 @@ def test_intervals_in_which_both_halves_touch_are_passed_over() -> None:
     later = ContactSchedule((Interval(0.0, 1.0, "l_sole"), Interval(1.0, 2.0, "r_soul")))
     with pytest.raises(RobotError, match="no link 'r_soul'; did you mean r_sole"):
         one_sided(robot, "r_foot_ft_sensor", later)
+
+
+def test_the_command_prints_both_validations_and_writes_three_files(own: Path) -> None:
+    result = CliRunner().invoke(
+        main, ["study", str(own / "study.toml"), "-o", str(own / "out"), "--workers", "1"]
+    )
+    assert result.exit_code == 0, result.output
+    assert {"study.html", "study.json", "calibration.json"} <= {
+        file.name for file in (own / "out").iterdir()
+    }
+    words = result.stdout
+    for head in ("trained on", "N / Nm", "2nd validation", "on pieces that did not choose"):
+        assert head in words
+    assert "in situ offset of wide refused: the centre of mass moves by" in words
+    paths = ("report", "calibration")
+    assert all(len(line) <= 100 for line in words.splitlines() if not line.startswith(paths))
+    told = CliRunner().invoke(
+        main,
+        ["study", str(own / "study.toml"), "-o", str(own / "out"), "--workers", "1", "--json"],
+    )
+    assert json.loads(told.stdout)["format"] == "ftcal-study"
