@@ -73,7 +73,7 @@ lock:
 		--output-file requirements/run.txt
 
 clean:
-	rm -rf .venv build dist ftcal-out .coverage .mypy_cache .ruff_cache .pytest_cache \
+	rm -rf .venv build dist ftcal-out .coverage .coverage.* .mypy_cache .ruff_cache .pytest_cache \
 		.hypothesis .import_linter_cache
 
 .venv/python.stamp:
