@@ -112,7 +112,7 @@ class SensorResult:
     channel: FtChannel
     fitted: Estimate
     estimate: Estimate
-    """With refused rows put back to the Workbench: what is deployed."""
+    """What is deployed: all fitted rows, or the Workbench where nothing is gained together."""
     share: Float[Array, "6 P"]
     """Per row of C and direction of the channels (fractions of full scale): how much of the entry
     is the data's, the rest is the prior's."""
