@@ -25,7 +25,7 @@ from ftcal.recording import Finding
 from ftcal.report.whole_metrics import nodes as sub_models
 from ftcal.sensor import AXES
 from ftcal.verdict import Verdict
-from ftcal.whole_pipeline import WholeOutcome, sensor_record, weighings_of
+from ftcal.whole_pipeline import WholeOutcome, result_record, weighings_of
 from ftcal.whole_tables import print_whole
 from test_report import HOSTILE, Elements, drawn, strings, without_plotly
 from test_whole_body import World, fitted, job, world
@@ -72,7 +72,7 @@ def an_outcome(
         created="2016-03-01T12:00:00+00:00",
         inputs=[Input(role="recording", path=f"logs/{label}", sha256="ab" * 32)],
     )
-    records = [sensor_record(described, fit, sensor, findings) for sensor in fit.sensors]
+    records = [result_record(described, fit, sensor, findings) for sensor in fit.sensors]
     return WholeOutcome(
         described,
         robot,

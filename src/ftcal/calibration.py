@@ -23,6 +23,11 @@ if TYPE_CHECKING:
     from jaxtyping import Float
     from numpy import ndarray as Array
 
+ChosenBy = Literal[
+    "job", "blocked cross-validation", "second validation", "held-out stretches", "evidence"
+]
+"""What chose the strength of a prior."""
+
 Row = list[float]
 Matrix = list[Row]
 
@@ -91,9 +96,7 @@ class Prior(Record):
     """Scaled prior of secondary-matrix entries, or the paper's penalty."""
     strength: float | Row
     """kappa (fraction of full scale), or lambda; six where axes differ."""
-    chosen_by: Literal[
-        "job", "blocked cross-validation", "second validation", "held-out stretches", "evidence"
-    ]
+    chosen_by: ChosenBy
 
 
 class AxisVerdict(Record):

@@ -7,6 +7,7 @@ import platform
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
+from typing import Literal
 
 import numpy as np
 
@@ -14,6 +15,7 @@ from ftcal import __version__
 from ftcal.calibration import (
     AxisVerdict,
     Centre,
+    ChosenBy,
     HealthFinding,
     Input,
     Offset,
@@ -27,31 +29,24 @@ from ftcal.folds import cells, segment_moments
 from ftcal.moments import Moments
 from ftcal.noise import Noise
 from ftcal.one_sensor import SensorOutcome
+from ftcal.pairing import FtChannel
 from ftcal.recording import Finding
 from ftcal.ridge import Estimate
 from ftcal.robot import FtSensor, Robot
+from ftcal.validate import Envelope
 from ftcal.verdict import Verdict
 
 
 def sensor_calibration(job: Job, outcome: SensorOutcome) -> SensorCalibration:
     """Return the part of `calibration.json` for one sensor."""
     channel, ft, found = outcome.channel, outcome.sensor, outcome.fit
-    workbench = channel.workbench
-    secondary = workbench.secondary(outcome.estimate.gain)
-    k = outcome.estimate.temperature_gain
     strength = found.penalty if found.kappa is None else float(found.kappa[0])
     tiles = cells((*outcome.training, *outcome.test), job.signals.smoothing)
-    return SensorCalibration(
-        sensor=ft.name,
-        signal=channel.signal,
-        temperature_signal=channel.temperature,
-        logged=workbench.logged,
-        frame=frame_name(ft),
-        acts_on=acted_link(ft),
-        gain=outcome.estimate.gain.tolist(),
-        fitted_gain=found.estimate.gain.tolist(),
-        secondary=None if secondary is None else secondary.tolist(),
-        temperature_gain=None if k is None else k.tolist(),
+    return sensor_record(
+        channel,
+        ft,
+        outcome.estimate,
+        fitted=found.estimate,
         reference_temperature=outcome.reference_temperature,
         offsets=[
             Offset(
@@ -68,20 +63,78 @@ def sensor_calibration(job: Job, outcome: SensorOutcome) -> SensorCalibration:
                 strict=True,
             )
         ],
-        covariance=found.estimate.covariance.tolist(),
         envelope=outcome.envelope,
-        noise_sd=found.noise.sd.tolist(),
-        inefficiency=found.noise.inefficiency.tolist(),
+        noise=found.noise,
+        form="lambda" if found.kappa is None else "kappa",
+        strength=float(strength or 0.0),
+        chosen_by="job" if found.choice is None else "blocked cross-validation",
+        verdicts=outcome.verdicts,
+        findings=outcome.findings,
+    )
+
+
+def sensor_record(
+    channel: FtChannel,
+    ft: FtSensor,
+    deployed: Estimate,
+    *,
+    fitted: Estimate,
+    offsets: list[Offset],
+    envelope: Envelope,
+    noise: Noise,
+    form: Literal["kappa", "lambda"],
+    strength: float | list[float],
+    chosen_by: ChosenBy,
+    verdicts: Iterable[Verdict],
+    findings: Iterable[tuple[str, Finding]],
+    reference_temperature: float = 0.0,
+) -> SensorCalibration:
+    """Return what any fit found out about a sensor as its record.
+
+    `findings` (recording and finding) may be of any signal: those of the sensor's own are kept.
+    """
+    workbench, k = channel.workbench, deployed.temperature_gain
+    secondary = workbench.secondary(deployed.gain)
+    mine = {channel.signal, channel.temperature}
+    return SensorCalibration(
+        sensor=ft.name,
+        signal=channel.signal,
+        temperature_signal=channel.temperature,
+        logged=workbench.logged,
+        frame=frame_name(ft),
+        acts_on=acted_link(ft),
+        gain=deployed.gain.tolist(),
+        fitted_gain=fitted.gain.tolist(),
+        secondary=None if secondary is None else secondary.tolist(),
+        temperature_gain=None if k is None else k.tolist(),
+        reference_temperature=reference_temperature,
+        offsets=offsets,
+        covariance=fitted.covariance.tolist(),
+        envelope=envelope,
+        noise_sd=noise.sd.tolist(),
+        inefficiency=noise.inefficiency.tolist(),
         prior=Prior(
             name=workbench.name,
             gain=workbench.gain.tolist(),
             full_scale=workbench.full_scale.tolist(),
-            form="lambda" if found.kappa is None else "kappa",
-            strength=float(strength or 0.0),
-            chosen_by="job" if found.choice is None else "blocked cross-validation",
+            form=form,
+            strength=strength,
+            chosen_by=chosen_by,
         ),
-        verdicts=verdict_records(outcome.verdicts),
-        health=health_findings(outcome.findings),
+        verdicts=[AxisVerdict(axis=v.axis, verdict=v.word, reason=v.reason) for v in verdicts],
+        health=[
+            HealthFinding(
+                recording=recording,
+                kind=f.kind,
+                signal=f.signal,
+                start=f.start,
+                stop=f.stop,
+                cut=f.cut,
+                message=f.message,
+            )
+            for recording, f in findings
+            if f.signal in mine
+        ],
     )
 
 
@@ -124,24 +177,3 @@ def frame_name(sensor: FtSensor) -> str:
 def acted_link(sensor: FtSensor) -> str:
     """Return the link on which a sensor's measured wrench acts."""
     return sensor.parent if sensor.acts_on == "parent" else sensor.child
-
-
-def health_findings(found: Iterable[tuple[str, Finding]]) -> list[HealthFinding]:
-    """Return findings, each with the recording that shows it, as records."""
-    return [
-        HealthFinding(
-            recording=recording,
-            kind=f.kind,
-            signal=f.signal,
-            start=f.start,
-            stop=f.stop,
-            cut=f.cut,
-            message=f.message,
-        )
-        for recording, f in found
-    ]
-
-
-def verdict_records(verdicts: Iterable[Verdict]) -> list[AxisVerdict]:
-    """Return verdicts as records."""
-    return [AxisVerdict(axis=v.axis, verdict=v.word, reason=v.reason) for v in verdicts]

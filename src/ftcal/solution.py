@@ -14,8 +14,15 @@ import numpy as np
 
 from ftcal.law import Law
 from ftcal.terms import MODEL, Frame, Segment, Terms
-from ftcal.whole_body import FIRST_MEMORY, FIRST_SD, Group, GroupNoise, Normal, Unknowns
-from ftcal.whole_body import offsets_alone as with_offsets
+from ftcal.whole_body import (
+    FIRST_MEMORY,
+    FIRST_SD,
+    Group,
+    GroupNoise,
+    Normal,
+    Unknowns,
+    offsets_alone,
+)
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -66,7 +73,7 @@ class Solution:
             theta[unknowns.model(name)] = self.inertia.get(name, np.zeros(MODEL))
         usual = {g: noise.get(g, GroupNoise(FIRST_SD[g[1] == "torque"], FIRST_MEMORY))
                  for g in normal.products}  # fmt: skip
-        found = Solution.of(unknowns, with_offsets(normal, usual, theta))
+        found = Solution.of(unknowns, offsets_alone(normal, usual, theta))
         return replace(self, offsets={**found.offsets, **self.offsets})
 
     def law(self, sensor: str, frame: Frame, segment: Segment, reference: Float[Array, "P"]) -> Law:

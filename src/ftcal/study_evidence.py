@@ -12,15 +12,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ftcal.calibration import Calibration, Offset, Prior, SensorCalibration
-from ftcal.evidence import (
-    acted_link,
-    centre,
-    frame_name,
-    health_findings,
-    provenance,
-    verdict_records,
-)
+from ftcal.calibration import Calibration, Offset, SensorCalibration
+from ftcal.evidence import centre, provenance, sensor_record
 from ftcal.excitation import excitation
 from ftcal.first_validation import TrainingSet
 from ftcal.noise import Noise, inefficiency
@@ -79,7 +72,6 @@ def _sensor(
     deployed[keep, : workbench.gain.shape[1]] = workbench.gain[keep]
     k = workbench.gain.shape[1]
     estimate = Estimate(deployed[:, :k], deployed[:, k] if width > k else None, covariance)
-    secondary = workbench.secondary(estimate.gain)
     offsets = []
     for segment in segments:
         moments = segment.moments()
@@ -94,40 +86,19 @@ def _sensor(
             )
         )
     trained = [one for one in study.first.sets if one.name in {c.training for c in chosen}]
-    return SensorCalibration(
-        sensor=ft.name,
-        signal=channel.signal,
-        temperature_signal=channel.temperature,
-        logged=workbench.logged,
-        frame=frame_name(ft),
-        acts_on=acted_link(ft),
-        gain=estimate.gain.tolist(),
-        fitted_gain=mixed[:, :k].tolist(),
-        secondary=None if secondary is None else secondary.tolist(),
-        temperature_gain=None
-        if estimate.temperature_gain is None
-        else estimate.temperature_gain.tolist(),
-        reference_temperature=0.0,
+    return sensor_record(
+        channel,
+        ft,
+        estimate,
+        fitted=Estimate(mixed[:, :k], None, covariance),
         offsets=offsets,
-        covariance=covariance.tolist(),
         envelope=widest([one.envelope for one in trained or study.first.sets]),
-        noise_sd=noise.sd.tolist(),
-        inefficiency=noise.inefficiency.tolist(),
-        prior=Prior(
-            name=workbench.name,
-            gain=workbench.gain.tolist(),
-            full_scale=workbench.full_scale.tolist(),
-            form="lambda",
-            strength=[one.penalty for one in chosen],
-            chosen_by="second validation",
-        ),
-        verdicts=verdict_records(verdicts),
-        health=health_findings(
-            (recording.name, finding)
-            for recording in recordings
-            for finding in recording.findings
-            if finding.signal in {channel.signal, channel.temperature}
-        ),
+        noise=noise,
+        form="lambda",
+        strength=[one.penalty for one in chosen],
+        chosen_by="second validation",
+        verdicts=verdicts,
+        findings=((r.name, finding) for r in recordings for finding in r.findings),
     )
 
 

@@ -11,9 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from ftcal.all_sensors import SensorResult, WholeBody, both, calibrate_all
-from ftcal.calibration import Calibration, Centre, Offset, Prior, SensorCalibration
+from ftcal.calibration import Calibration, Centre, ChosenBy, Offset, SensorCalibration
 from ftcal.config import Job
-from ftcal.evidence import acted_link, frame_name, health_findings, provenance, verdict_records
+from ftcal.evidence import provenance, sensor_record
+from ftcal.noise import Noise
 from ftcal.pairing import FtChannel
 from ftcal.pipeline import ft_channel, read_recordings
 from ftcal.progress import Progress, Steps, silent
@@ -56,7 +57,7 @@ def calibrate_whole_body(job: Job, *, progress: Progress = silent) -> WholeOutco
     flat = tuple((r.name, f) for r, found in zip(recordings, findings, strict=True) for f in found)
     calibration = Calibration(
         robot=robot.name,
-        sensors=[sensor_record(job, fit, sensor, flat) for sensor in fit.sensors],
+        sensors=[result_record(job, fit, sensor, flat) for sensor in fit.sensors],
         provenance=provenance(job, robot, [recording.digest for recording in recordings]),
     )
     weighings = tuple(weighings_of(job, robot, channels, fit))
@@ -89,46 +90,24 @@ def weighings_of(
                                    interval.touching, robot.mass, old, new)  # fmt: skip
 
 
-def sensor_record(
+def result_record(
     job: Job, fit: WholeBody, result: SensorResult, findings: Sequence[tuple[str, Finding]]
 ) -> SensorCalibration:
     """Return the part of `calibration.json` for one sensor."""
-    channel, ft = result.channel, result.sensor
-    workbench = channel.workbench
-    secondary = workbench.secondary(result.estimate.gain)
-    k = result.estimate.temperature_gain
-    mine = {channel.signal, channel.temperature}
-    return SensorCalibration(
-        sensor=ft.name,
-        signal=channel.signal,
-        temperature_signal=channel.temperature,
-        logged=workbench.logged,
-        frame=frame_name(ft),
-        acts_on=acted_link(ft),
-        gain=result.estimate.gain.tolist(),
-        fitted_gain=result.fitted.gain.tolist(),
-        secondary=None if secondary is None else secondary.tolist(),
-        temperature_gain=None if k is None else k.tolist(),
-        reference_temperature=0.0,
+    chosen_by: ChosenBy = "evidence" if fit.choice is None else "held-out stretches"
+    return sensor_record(
+        result.channel,
+        result.sensor,
+        result.estimate,
+        fitted=result.fitted,
         offsets=offset_records(fit, result),
-        covariance=result.fitted.covariance.tolist(),
         envelope=result.envelope,
-        noise_sd=result.noise.tolist(),
-        inefficiency=result.inefficiency.tolist(),
-        prior=Prior(
-            name=workbench.name,
-            gain=workbench.gain.tolist(),
-            full_scale=workbench.full_scale.tolist(),
-            form="kappa",
-            strength=fit.posterior.kappa,
-            chosen_by="job"
-            if job.fit.strength is not None
-            else "evidence"
-            if fit.choice is None
-            else "held-out stretches",
-        ),
-        verdicts=verdict_records(result.verdicts),
-        health=health_findings((r, f) for r, f in findings if f.signal in mine),
+        noise=Noise(result.noise, result.inefficiency),
+        form="kappa",
+        strength=fit.posterior.kappa,
+        chosen_by=chosen_by if job.fit.strength is None else "job",
+        verdicts=result.verdicts,
+        findings=findings,
     )
 
 
