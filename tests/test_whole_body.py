@@ -44,7 +44,7 @@ from ftcal.whole_body import (
     path,
     solve,
 )
-from ftcal.whole_pipeline import calibrate_whole_body
+from ftcal.whole_pipeline import calibrate_whole_body, refuse_misread, suspicious
 from pretend import FULL_SCALE, bent, workbench
 from study_world import LEGS, ideal, moved, schedule, signal
 from walker import SENSORS, walker
@@ -670,6 +670,40 @@ def test_a_sensor_absent_in_a_recording_is_told_in_one_line() -> None:
     with pytest.raises(FtcalError, match="r_foot_ft_sensor/analog:o") as told:
         fitted(described, [one.recording, fewer], one.channels)
     line(told.value)
+
+
+def misread(one: World, sensor: str, turned: Float[Array, "3 3"]) -> Recording:
+    """Return the log with the wrench of one sensor expressed in a `turned` frame."""
+    both = np.kron(np.eye(2), turned)
+    gain = {channel.signal: channel.workbench.gain for channel in one.channels}
+    channels = [
+        replace(
+            signal,
+            values=np.linalg.solve(gain[signal.name], both @ gain[signal.name] @ signal.values.T).T,
+        )
+        if signal.name.startswith(sensor)
+        else signal
+        for signal in one.recording.channels
+    ]
+    return replace(one.recording, channels=tuple(channels))
+
+
+@pytest.mark.parametrize("sensor", SENSORS)
+def test_a_sensor_logged_in_another_frame_is_named_in_one_line(sensor: str) -> None:
+    one = world(noise=1e-5)
+    quarter = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    log = misread(one, sensor, quarter)
+    described = job([TEST])
+    assert suspicious(fitted(described, [log], one.channels))
+    with pytest.raises(DataError, match=rf"recording 'take': .*{sensor}") as told:
+        refuse_misread(described, WALKER, one.channels, [log], [()])
+    assert "diagnose = false" in line(told.value)
+
+
+def test_a_log_that_is_right_is_neither_suspicious_nor_refused() -> None:
+    one = world(noise=1e-5)
+    assert not suspicious(fit_of_a_walk())
+    refuse_misread(job([TEST]), WALKER, one.channels, [one.recording], [()])
 
 
 @pytest.mark.parametrize(

@@ -7,7 +7,7 @@ contain (`balances`), one fit (`whole_body`), and for every sensor the same scor
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING
@@ -26,7 +26,7 @@ from ftcal.ridge import Estimate
 from ftcal.robot import FtSensor, Robot
 from ftcal.sensor import AXES, Workbench
 from ftcal.solution import Solution
-from ftcal.terms import Frame, ModelPrior, Segment, Terms, summed
+from ftcal.terms import Frame, ModelPrior, Segment, Terms, Weights, summed
 from ftcal.validate import GROUPS, Envelope, HeldOut, Scores, load_envelope, score
 from ftcal.verdict import Verdict, weigh
 from ftcal.whole_body import (
@@ -37,6 +37,7 @@ from ftcal.whole_body import (
     Unknowns,
     fit_all,
     offsets_alone,
+    robust_weights,
     solve,
     stretches_of,
 )
@@ -47,6 +48,9 @@ if TYPE_CHECKING:
 
 ENOUGH = 5000
 """Samples of a sub-model in a recording that tables and scores rest on."""
+
+ROBUST_ROUNDS = 2
+"""Rounds of weights and fit."""
 
 LEAST_SHARE = 0.5
 """Share of the data in a direction below which the prior has the say there."""
@@ -79,15 +83,26 @@ class BalancedTake:
         return float(inside.min()), float(np.nextafter(inside.max(), np.inf))
 
     def terms(
-        self, stretches: Windows, frames: Mapping[str, Frame], model: ModelPrior
+        self,
+        stretches: Windows,
+        frames: Mapping[str, Frame],
+        model: ModelPrior,
+        weights: Weights | None = None,
     ) -> list[Terms]:
-        """Return what some stretches add to the normal equations."""
+        """Return what some stretches add to the normal equations, every cell as its weight says."""
         return [
             term
             for balance in self.balances
             for stretch in stretches
             for term in summed(
-                balance, self.recording, frames, self.references, self.segments, stretch, model
+                balance,
+                self.recording,
+                frames,
+                self.references,
+                self.segments,
+                stretch,
+                model,
+                weights=weights,
             )
         ]
 
@@ -163,6 +178,8 @@ class WholeBody:
     residuals: tuple[Residual, ...]
     samples: int
     """Samples of all balances trained on."""
+    down_weighted: float
+    """Share of their cells of a second that count less than once."""
 
 
 def calibrate_all(
@@ -172,10 +189,14 @@ def calibrate_all(
     recordings: Sequence[Recording],
     findings: Sequence[Sequence[Finding]],
     steps: Steps,
+    *,
+    balancing: Callable[..., BalancedTake] | None = None,
 ) -> WholeBody:
     """Return the fit of all sensors of a job to all its recordings.
 
-    Raises `DataError` where no free sub-model is left to train on or nothing can be held out.
+    Balances are those of `balanced`, or of a `balancing` of the same arguments that knows more of
+    what is wrong with the model. Raises `DataError` where no free sub-model is left to train on or
+    nothing can be held out.
     """
     frames = {
         channel.sensor: Frame.of(
@@ -186,18 +207,29 @@ def calibrate_all(
     }
     model = ModelPrior(mass=job.whole_body.mass, com=job.whole_body.com)
     takes: list[BalancedTake] = []
-    terms: list[Terms] = []
+    trained: list[list[Terms]] = []
     held: list[Terms] = []
-    for section, recording, found in zip(job.recordings, recordings, findings, strict=True):
+    given = list(zip(job.recordings, recordings, findings, strict=True))
+    for section, recording, found in given:
         steps.begin(f"balancing {section.label}")
-        take = balanced(job, robot, channels, section, recording, found)
-        terms += take.terms(take.train, frames, model)
+        take = (balancing or balanced)(job, robot, channels, section, recording, found)
+        trained.append(take.terms(take.train, frames, model))
         held += take.terms(take.test, frames, model)
         takes.append(take.thinned())
     steps.begin("fitting all sensors")
+    terms = list(itertools.chain(*trained))
+    samples = int(sum(term.count for term in terms))
     posterior, choice = fit_all(
         terms, frames, kappa=job.fit.strength, strength=job.whole_body.strength
     )
+    for _ in range(ROBUST_ROUNDS if job.fit.robust else 0):
+        # only sums were kept: recordings with a cell that stands apart are balanced once more
+        for i, mine in enumerate(trained):
+            if weights := robust_weights(mine, posterior):
+                take = (balancing or balanced)(job, robot, channels, *given[i])
+                trained[i] = take.terms(take.train, frames, model, weights)
+        terms = list(itertools.chain(*trained))
+        posterior, _ = fit_all(terms, frames, kappa=posterior.kappa)
     steps.begin("holding out stretches")
     noise = posterior.noise
     normal = Normal.of(terms, posterior.unknowns)
@@ -237,7 +269,8 @@ def calibrate_all(
         all_of_them,
         sensors,
         tuple(residuals(takes, frames, workbench, fitted)),
-        sum(term.count for term in terms),
+        samples,
+        float(np.mean(np.concatenate([term.weights for term in terms]) < 1.0)),
     )
 
 

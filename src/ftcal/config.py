@@ -93,6 +93,10 @@ class RecordingSection(Section):
     """Signal whose first sample is second 0; default: the earliest of all."""
     angle: Literal["deg", "rad"] | None = None
     """Unit of the joints; default: the format's own (YARP deg, tables rad)."""
+    acceleration: Literal["m/s^2", "g"] | None = None
+    """Unit of the accelerations of the imus; default: m/s^2, or what the log declares."""
+    angular_velocity: Literal["rad/s", "deg/s"] | None = None
+    """Unit of the angular velocities of the imus; default: as logged, or as the log declares."""
     time: str = "time"
     """Tables: column with the stamps."""
     time_unit: Literal["s", "ms", "us", "ns"] | None = None
@@ -154,6 +158,8 @@ class RecordingSection(Section):
         return Layout(
             joints={k: (v,) if isinstance(v, str) else v for k, v in self.joints.items()},
             angle=self.angle,
+            acceleration=self.acceleration,
+            angular_velocity=self.angular_velocity,
             time=self.time,
             time_unit=self.time_unit,
             channels=self.channels,
@@ -205,11 +211,15 @@ class FitSection(Section):
     """Samples that count as one; default: measured."""
     folds: Annotated[int, Field(ge=2, le=100)] = 5
     """Blocks of every cross-validation."""
+    robust: bool = False
+    """Whether seconds that do not fit count less; not with `lambda`."""
 
     @model_validator(mode="after")
     def _one_prior(self) -> FitSection:
         if self.kappa is not None and self.penalty is not None:
             raise ValueError("give kappa or lambda, not both")
+        if self.robust and self.penalty is not None:
+            raise ValueError("robust weights need kappa: lambda is the paper's fit, all alike")
         if self.noise is not None and not min(self.noise) > 0:
             raise ValueError("noise must be positive on every axis")
         return self
@@ -227,7 +237,19 @@ class FitSection(Section):
             noise=self.noise,
             samples_per_independent=self.samples_per_independent,
             folds=self.folds,
+            robust=self.robust,
         )
+
+
+class PayloadSection(Section):
+    """A body on a link that the robot description may lack."""
+
+    link: str
+    """Link, or frame, on which it is suspected."""
+    mass: Positive = 1.0
+    """Standard deviation of its mass [kg]."""
+    com: Positive = 0.1
+    """Standard deviation of each coordinate of its centre of mass in the link's frame [m]."""
 
 
 class WholeBodySection(Section):
@@ -243,6 +265,22 @@ class WholeBodySection(Section):
     """Standard deviation of the mass of a sub-model, as a share of it."""
     com: NotNegative = 0.005
     """Standard deviation of each coordinate of its centre of mass [m]."""
+    diagnose: bool = True
+    """Whether logs are searched for wrong frames, signs and robots where the fit looks odd."""
+    joint_zeros: Positive | None = None
+    """Standard deviation of the zero of every encoder [rad]; none: not suspected."""
+    zeros_of: tuple[str, ...] = ()
+    """Joints whose zeros are suspected; default: all revolute ones that are logged."""
+    floor_tilt: Positive | None = None
+    """Standard deviation of the tilt of what a link stands on [rad]; none: not suspected."""
+    payloads: tuple[PayloadSection, ...] = ()
+    """Bodies suspected."""
+
+    @model_validator(mode="after")
+    def _zeros_have_a_size(self) -> WholeBodySection:
+        if self.zeros_of and self.joint_zeros is None:
+            raise ValueError("zeros_of needs joint_zeros, their standard deviation in rad")
+        return self
 
 
 class StudySection(Section):
@@ -406,6 +444,7 @@ def keys_beside(parents: Iterable[Any]) -> list[str]:
         "signals": SignalsSection,
         "fit": FitSection,
         "whole_body": WholeBodySection,
+        "payloads": PayloadSection,
         "study": StudySection,
     }
     for part in parents:

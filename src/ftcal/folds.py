@@ -9,13 +9,14 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ftcal.errors import DataError
 from ftcal.moments import Moments, total, within
+from ftcal.robust import huber_weights
 from ftcal.samples import Samples
 
 if TYPE_CHECKING:
@@ -42,6 +43,13 @@ class Cell:
     """Index of the cell in its segment."""
     samples: Samples
     moments: Moments
+    """Of its samples, as often as they count."""
+    weight: float = 1.0
+    """What each of them counts."""
+
+    def reweighted(self, weight: float) -> Cell:
+        """Return the cell with samples that count `weight` each."""
+        return replace(self, moments=self.moments.weighted(weight / self.weight), weight=weight)
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,10 +116,25 @@ def blocked_folds(some: Sequence[Cell], count: int, guard: int = 1) -> list[Fold
 def aligned(
     groups: Sequence[Sequence[Cell]], gain: Float[Array, "6 P"]
 ) -> list[Float[Array, "N 6"]]:
-    """Return `w - gain x` of every group of cells about its own mean, x = `[channels, dT?]`."""
+    """Return `w - gain x` of every group of cells about its own mean, x = `[channels, dT?]`.
+
+    What counts less than once is less: its square counts in full.
+    """
     residuals = []
     for group in groups:
         rows = np.concatenate([cell.samples.rows() for cell in group])
+        weight = np.concatenate([np.full((len(cell.samples), 1), cell.weight) for cell in group])
         residual = rows[:, -6:] - rows[:, :-6] @ gain.T
-        residuals.append(residual - residual.mean(axis=0))
+        mean = (weight * residual).sum(axis=0) / weight.sum()
+        residuals.append(np.sqrt(weight) * (residual - mean))
     return residuals
+
+
+def reweighted(some: Sequence[Cell], gain: Float[Array, "6 P"]) -> tuple[Cell, ...]:
+    """Return the cells with the weights that their residuals under `gain` call for."""
+    found: list[Cell] = []
+    for group in by_segment(some):
+        means = np.array([cell.moments.mean for cell in group])
+        weights = huber_weights(means[:, -6:] - means[:, :-6] @ gain.T)
+        found += [cell.reweighted(float(w)) for cell, w in zip(group, weights, strict=True)]
+    return tuple(found)

@@ -23,8 +23,8 @@ if TYPE_CHECKING:
 class Moments:
     """First and second moments of the rows of a table with D columns."""
 
-    count: int
-    """Number of rows N."""
+    count: float
+    """Number of rows N; rows that count less count as parts of one."""
     mean: Float[Array, "D"]
     """Mean of the rows; zero where there is none."""
     scatter: Float[Array, "D D"]
@@ -56,6 +56,10 @@ class Moments:
             + np.outer(step, step) * (self.count * other.count / count),
         )
 
+    def weighted(self, weight: float) -> Moments:
+        """Return the moments of the same rows, each of which counts `weight` times."""
+        return Moments(self.count * weight, self.mean, self.scatter * weight)
+
     def map(self, matrix: Float[Array, "E D"]) -> Moments:
         """Return the moments of the rows `matrix @ row`."""
         return Moments(self.count, matrix @ self.mean, matrix @ self.scatter @ matrix.T)
@@ -75,7 +79,7 @@ def total(parts: Sequence[Moments]) -> Moments:
     if not parts:
         raise ValueError("no moments to add")
     counts = np.array([part.count for part in parts], dtype=np.float64)
-    count = int(counts.sum())
+    count = float(counts.sum())
     if count == 0:
         return parts[0]
     # about one of the means: the others are near it, zero is not

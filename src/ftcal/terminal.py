@@ -19,6 +19,7 @@ from ftcal.delay import Delay
 from ftcal.diagnosis import Diagnosis
 from ftcal.recording import Finding, Recording, Signal
 from ftcal.report.truth import Truth
+from ftcal.report.words import percent
 from ftcal.robot import Robot
 from ftcal.sensor import AXES
 from ftcal.steps import Step
@@ -79,6 +80,7 @@ def print_sensor(console: Console, outcome: SensorOutcome) -> None:
     console.print(
         f"{found.samples} samples, {min(found.independent):.0f} to {max(found.independent):.0f}"
         f" independent; prior {strength}; {seen.rank} of {len(seen.directions)} directions excited"
+        + ("" if not found.down_weighted else f"; {percent(found.down_weighted)} count less")
     )
     for reason in reasons(outcome.verdicts):
         console.print(Padding(Text(reason), (0, 0, 0, 2)))

@@ -88,6 +88,10 @@ class Frame:
         return np.asarray(found)
 
 
+Weights = Mapping[tuple[str, Segment], "Float[Array, 'B']"]
+"""What the cells of a sub-model in a stretch count."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Terms:
     """One sub-model over one stretch of one recording, summed."""
@@ -98,14 +102,18 @@ class Terms:
     sensors: tuple[str, ...]
     segments: tuple[Segment, ...]
     """Offset segment of each sensor."""
-    count: int
-    """Samples."""
+    count: float
+    """Samples, as often as they count."""
     products: Float[Array, "E D D"]
     """Per equation: sum of products of `[features, target]`; features per sensor: E row by row,
     then its six offsets, in fractions of full scale; then mass and centre of mass of the sub-model
-    in standard deviations of their prior. The target is in N and Nm."""
+    in standard deviations of their prior, and `model_errors`. The target is in N and Nm."""
     cells: Float[Array, "B E D"]
     """Per cell of about a second and equation: mean of `[features, target]`."""
+    weights: Float[Array, "B"]
+    """What each sample of a cell counts."""
+    model_errors: tuple[str, ...] = ()
+    """Suspected errors of the model, whose features are the last."""
 
     def squares(self, unknowns: Float[Array, "D-1"]) -> Float[Array, "E"]:
         """Return the sum of squared residuals per equation [N^2, Nm^2]."""
@@ -127,11 +135,13 @@ def summed(
     segments: Mapping[str, Sequence[Segment]],
     stretch: tuple[float, float],
     model: ModelPrior,
+    *,
+    weights: Weights | None = None,
 ) -> list[Terms]:
     """Return the terms of a balance within `stretch` [s], one for every set of offset segments.
 
     `references` are r0, `segments` the offset segments of each sensor in the recording; samples in
-    none of a sensor's segments are left out.
+    none of a sensor's segments are left out. Cells without `weights` count in full.
     """
     edges = {float(e) for name in balance.inputs for s in segments[name] for e in (s.start, s.stop)}
     cuts = sorted({stretch[0], stretch[1], *(e for e in edges if stretch[0] < e < stretch[1])})
@@ -146,7 +156,8 @@ def summed(
         if first < last and len(held) == len(mine):
             part = balance.rows(slice(int(first), int(last)))
             where = Segment(recording, start, stop)
-            found.append(_sum(part, where, held, frames, references, model))
+            told = (weights or {}).get((balance.sub_model, where))
+            found.append(_sum(part, where, held, frames, references, model, told))
     return found
 
 
@@ -157,26 +168,33 @@ def _sum(
     frames: Mapping[str, Frame],
     references: Mapping[str, Float[Array, "P"]],
     model: ModelPrior,
+    weights: Float[Array, "B"] | None,
 ) -> Terms:
-    sensors = tuple(balance.inputs)
-    width = sum(frames[name].unknowns + 6 for name in sensors) + MODEL + 1
+    sensors, suspected = tuple(balance.inputs), tuple(balance.model_errors)
+    width = sum(frames[name].unknowns + 6 for name in sensors) + MODEL + len(suspected) + 1
     equations = balance.equations
     span = balance.time[-1] - balance.time[0]
     cells = max(1, round(float(span) / CELL))
     index = np.minimum(
         ((balance.time - balance.time[0]) / max(span, 1e-9) * cells).astype(int), cells - 1
     )
+    weights = np.ones(cells) if weights is None else weights
+    root = np.sqrt(weights)[index]
     products = np.zeros((equations, width, width))
     sums = np.zeros((cells, equations, width))
     for start in range(0, len(balance.time), CHUNK):
         rows = slice(start, start + CHUNK)
         table = features(balance.rows(rows), frames, references, model)
-        for equation, its_rows in enumerate(table):
+        for equation, its_rows in enumerate(table * root[rows, None]):
             products[equation] += its_rows.T @ its_rows
         opens = np.flatnonzero(np.diff(index[rows], prepend=-1))
         sums[index[rows][opens]] += np.add.reduceat(table, opens, axis=1).transpose(1, 0, 2)
-    sums /= np.maximum(np.bincount(index, minlength=cells), 1)[:, None, None]
-    return Terms(stretch, balance.sub_model, sensors, segments, len(balance.time), products, sums)
+    held = np.bincount(index, minlength=cells)
+    sums /= np.maximum(held, 1)[:, None, None]
+    count = float(held @ weights)
+    return Terms(
+        stretch, balance.sub_model, sensors, segments, count, products, sums, weights, suspected
+    )
 
 
 def features(
@@ -188,6 +206,7 @@ def features(
     """Return `[features, target]` of every equation and sample of a balance."""
     equations, count = balance.equations, len(balance.time)
     width = sum(frames[name].unknowns + 6 for name in balance.inputs) + MODEL + 1
+    width += len(balance.model_errors)
     # equation first: each one's rows are then a matrix of their own for BLAS
     table = np.zeros((equations, count, width))
     table[..., -1] = balance.required[:, :equations].T
@@ -209,4 +228,6 @@ def features(
     table[..., at] = -model.mass * balance.required[:, :equations].T
     turned = model.com * skew(balance.required[:, :3])
     table[3:, :, at + 1 : at + MODEL] = turned.transpose(1, 0, 2)[: max(equations - 3, 0)]
+    for column, change in enumerate(balance.model_errors.values(), at + MODEL):
+        table[..., column] = change[:, :equations].T
     return table

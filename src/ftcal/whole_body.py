@@ -25,8 +25,9 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from ftcal.errors import DataError
+from ftcal.robust import huber_weights
 from ftcal.sensor import AXES
-from ftcal.terms import MODEL, Frame, Segment, Terms
+from ftcal.terms import MODEL, Frame, Segment, Terms, Weights
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Int
@@ -75,6 +76,8 @@ class Unknowns:
     """Sub-models, whose mass and centre of mass are unknown too."""
     offsets: tuple[tuple[str, Segment], ...]
     """Sensor and segment of every offset."""
+    model_errors: tuple[str, ...] = ()
+    """Suspected errors of the model, in standard deviations of their prior."""
 
     @staticmethod
     def of(terms: Sequence[Terms], frames: Mapping[str, Frame]) -> Unknowns:
@@ -83,7 +86,8 @@ class Unknowns:
         seen = {name for name, _ in offsets}
         models = tuple(dict.fromkeys(one.sub_model for one in terms))
         known = {name: frame for name, frame in frames.items() if name in seen}
-        return Unknowns(known, models, tuple(sorted(offsets)))
+        suspected = tuple(dict.fromkeys(name for one in terms for name in one.model_errors))
+        return Unknowns(known, models, tuple(sorted(offsets)), suspected)
 
     @cached_property
     def entries(self) -> dict[str, slice]:
@@ -102,18 +106,27 @@ class Unknowns:
     @cached_property
     def places(self) -> dict[tuple[str, Segment], slice]:
         """Where each offset stands."""
-        first = self.prior + MODEL * len(self.models)
+        first = self.described
         return {key: slice(first + 6 * k, first + 6 * k + 6) for k, key in enumerate(self.offsets)}
+
+    @property
+    def described(self) -> int:
+        """Unknowns before the offsets: those of the matrices and of the robot description."""
+        return self.prior + MODEL * len(self.models) + len(self.model_errors)
 
     @property
     def count(self) -> int:
         """All unknowns."""
-        return self.prior + MODEL * len(self.models) + 6 * len(self.offsets)
+        return self.described + 6 * len(self.offsets)
 
     def model(self, sub_model: str) -> slice:
         """Return where mass and centre of mass of a sub-model stand."""
         first = self.prior + MODEL * self.models.index(sub_model)
         return slice(first, first + MODEL)
+
+    def model_error(self, name: str) -> int:
+        """Return where a suspected error of the model stands."""
+        return self.prior + MODEL * len(self.models) + self.model_errors.index(name)
 
     def precision(self, kappa: float) -> Float[Array, "U U"]:
         """Return the precision of the unknowns before any data.
@@ -148,7 +161,8 @@ class Unknowns:
             for place in (self.entries[name], self.places[name, segment]):
                 parts.append(np.arange(place.start, place.stop))
         place = self.model(terms.sub_model)
-        return np.concatenate([*parts, np.arange(place.start, place.stop)])
+        suspected = np.array([self.model_error(name) for name in terms.model_errors], dtype=int)
+        return np.concatenate([*parts, np.arange(place.start, place.stop), suspected])
 
     def knows(self, terms: Terms) -> bool:
         """Return whether every offset that some terms need is among the unknowns."""
@@ -180,7 +194,7 @@ class Normal:
     targets: dict[Group, Float[Array, "U"]]
     squares: dict[Group, float]
     """Sum of squared targets."""
-    counts: dict[Group, int]
+    counts: dict[Group, float]
     """Samples times equations."""
 
     @staticmethod
@@ -264,7 +278,7 @@ def offsets_alone(
     Without it every matrix is the Workbench's and every inertia the robot description's.
     """
     unknowns = normal.unknowns
-    first = unknowns.prior + MODEL * len(unknowns.models)
+    first = unknowns.described
     found = np.zeros(unknowns.count) if theta is None else theta.copy()
     A = normal.information(noise)[first:]
     pull = normal.pull(noise)[first:] - A[:, :first] @ found[:first]
@@ -344,7 +358,7 @@ def memory(
         for name, equations in groups(one):
             if name == group:
                 means = one.cell_means(theta[unknowns.columns(one)])[:, equations]
-                series.append(means)
+                series.append(np.sqrt(one.weights)[:, None] * means)
                 per_cell.append(one.count / len(means))
     samples = float(np.mean(per_cell))
     # half of all samples at most: exact data leave nothing to compare with
@@ -368,6 +382,17 @@ class Choice:
     stretches: tuple[str, ...]
     chosen: float
     """The weakest of the best."""
+
+
+def robust_weights(terms: Sequence[Terms], posterior: Posterior) -> Weights:
+    """Return what every cell counts whose residual stands apart from the others of its stretch."""
+    found = {}
+    for one in terms:
+        means = one.cell_means(posterior.theta[posterior.unknowns.columns(one)])
+        weights = huber_weights(means)
+        if weights.min() < 1.0:
+            found[one.sub_model, one.stretch] = weights
+    return found
 
 
 def stretches_of(terms: Sequence[Terms]) -> dict[tuple[str, float], list[Terms]]:
@@ -415,7 +440,7 @@ def held_out(
     noise: Mapping[Group, GroupNoise],
 ) -> float:
     """Return the mean square of the residuals of a stretch over the noise's."""
-    total, count = 0.0, 0
+    total, count = 0.0, 0.0
     for one in held:
         if not all(name in unknowns.entries for name in one.sensors):
             continue
@@ -439,6 +464,8 @@ def _left(one: Terms, equations: slice, unknowns: Unknowns, theta: Float[Array, 
         free += [] if known else list(range(at - 6, at))
     seen = one.sub_model in unknowns.models
     direction.append(theta[unknowns.model(one.sub_model)] if seen else np.zeros(MODEL))
+    suspected = {name: theta[unknowns.model_error(name)] for name in unknowns.model_errors}
+    direction.append(np.array([suspected.get(name, 0.0) for name in one.model_errors]))
     full = np.append(-np.concatenate(direction), 1.0)
     G = one.products[equations].sum(axis=0)
     own = float(full @ G @ full)

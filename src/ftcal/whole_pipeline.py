@@ -6,13 +6,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ftcal.all_sensors import SensorResult, WholeBody, both, calibrate_all
 from ftcal.calibration import Calibration, Centre, ChosenBy, Offset, SensorCalibration
 from ftcal.config import Job
+from ftcal.diagnosis import Diagnosis, diagnose
+from ftcal.errors import DataError, RobotError
 from ftcal.evidence import provenance, sensor_record
 from ftcal.noise import Noise
 from ftcal.pairing import FtChannel
@@ -22,6 +25,9 @@ from ftcal.recording import Finding, Recording
 from ftcal.robot import Robot
 from ftcal.urdf import read_robot
 from ftcal.weighing import Weighing, weighed
+
+WORST_BEND = 0.1
+"""Entry of E (fraction of full scale) beyond which logs are looked into: mountings bend by 0.03."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -51,8 +57,10 @@ def calibrate_whole_body(job: Job, *, progress: Progress = silent) -> WholeOutco
     robot = read_robot(job.path(job.robot))
     channels = [ft_channel(job, robot, section) for section in job.sensors]
     steps = Steps(progress, 2 * len(job.recordings) + 3)
-    recordings, findings = read_recordings(job, channels, steps)
+    recordings, findings = read_recordings(job, robot, channels, steps)
     fit = calibrate_all(job, robot, channels, recordings, findings, steps)
+    if job.whole_body.diagnose and suspicious(fit):
+        refuse_misread(job, robot, channels, recordings, findings)
     steps.begin("writing")
     flat = tuple((r.name, f) for r, found in zip(recordings, findings, strict=True) for f in found)
     calibration = Calibration(
@@ -62,6 +70,53 @@ def calibrate_whole_body(job: Job, *, progress: Progress = silent) -> WholeOutco
     )
     weighings = tuple(weighings_of(job, robot, channels, fit))
     return WholeOutcome(job, robot, tuple(recordings), flat, fit, weighings, calibration)
+
+
+def suspicious(fit: WholeBody) -> bool:
+    """Return whether the fit looks as if a log were not what the job says.
+
+    Nothing is gained together, or a matrix is bent more than any mounting bends it.
+    """
+    bent = max(
+        float(np.abs(fit.posterior.entries(sensor.sensor.name)).max()) for sensor in fit.sensors
+    )
+    gained = any(verdict.use for sensor in fit.sensors for verdict in sensor.verdicts)
+    return not gained or bent > WORST_BEND
+
+
+def refuse_misread(
+    job: Job,
+    robot: Robot,
+    channels: Sequence[FtChannel],
+    recordings: Sequence[Recording],
+    findings: Sequence[Sequence[Finding]],
+) -> None:
+    """Raise `DataError` where a recording says that a sensor or the robot is not as described.
+
+    A frame, a sign, swapped axes, another robot (`ftcal.diagnosis`): no regression mends it.
+    """
+    by_signal = {channel.signal: channel.workbench for channel in channels}
+    for section, recording, found in zip(job.recordings, recordings, findings, strict=True):
+        wrenches = tuple(
+            replace(signal, values=workbench.channels(signal.values) @ workbench.gain.T)
+            for signal in recording.channels
+            if (workbench := by_signal.get(signal.name)) is not None
+        )
+        told: Diagnosis | None = None
+        with suppress(DataError, RobotError):  # nothing in it moves freely: it says nothing
+            told = diagnose(
+                replace(recording, channels=wrenches),
+                robot,
+                section.schedule(),
+                signals={channel.sensor: channel.signal for channel in channels},
+                gravity=section.gravity,
+                findings=found,
+            )
+        if told is not None and told.word in {"wrong reading", "wrong robot"}:
+            raise DataError(
+                f"recording {recording.name!r}: {told.sentence}; if it is right all the same, say"
+                " diagnose = false in [whole_body]"
+            )
 
 
 def weighings_of(

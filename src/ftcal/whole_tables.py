@@ -13,6 +13,7 @@ from rich.text import Text
 
 from ftcal.all_sensors import SensorResult
 from ftcal.report.whole_metrics import means, on_the_prior, undetermined
+from ftcal.report.words import percent
 from ftcal.sensor import AXES
 from ftcal.terminal import STYLES, reasons, score_table, table
 from ftcal.verdict import advice, overall
@@ -33,8 +34,10 @@ def print_whole(console: Console, outcome: WholeOutcome) -> None:
         console.print(Text.assemble(("Mass on its own sensors", "bold"), f", {described}"))
         console.print(mass_table(outcome))
     posterior, choice = outcome.fit.posterior, outcome.fit.choice
+    down = outcome.fit.down_weighted
+    less = f", {percent(down)} of their seconds count less" if down else ""
     console.print(
-        f"{outcome.fit.samples} samples of balances; prior kappa {posterior.kappa:.3g}"
+        f"{outcome.fit.samples} samples of balances{less}; prior kappa {posterior.kappa:.3g}"
         + ("" if choice is None else " (held-out stretches)")
         + f"; the data determine {posterior.spent:.0f} of {posterior.unknowns.prior} entries"
     )

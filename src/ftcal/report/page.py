@@ -97,6 +97,7 @@ def sensor_section(
             "logged": sum(paired.logged for paired in outcome.paired),
             "usable": sum(len(paired.samples) for paired in outcome.paired),
             "training": outcome.fit.samples,
+            "less": outcome.fit.down_weighted,
             "least": float(outcome.fit.independent.min()),
             "most": float(outcome.fit.independent.max()),
         },

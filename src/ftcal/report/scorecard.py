@@ -56,6 +56,7 @@ def sensor_metrics(
             "logged": sum(paired.logged for paired in outcome.paired),
             "usable": sum(len(paired.samples) for paired in outcome.paired),
             "training": found.samples,
+            "down_weighted": found.down_weighted,
             "test": sample_count(outcome.test),
         },
         "independent": by_axis(found.independent),

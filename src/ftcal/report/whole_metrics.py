@@ -94,6 +94,7 @@ def whole_metrics(
         "together": scores_metrics(fit.together),
         "undetermined": undetermined(outcome),
         "samples": fit.samples,
+        "down_weighted": fit.down_weighted,
         "prior": prior_metrics(fit),
         "noise": {
             sub_model: {

@@ -83,6 +83,7 @@ def robot_section(outcome: WholeOutcome, album: Album) -> Table:
         "inertias": inertias(outcome),
         "believed": outcome.job.whole_body,
         "samples": fit.samples,
+        "less": fit.down_weighted,
         "kappa": posterior.kappa,
         "chosen_by": next((s.prior.chosen_by for s in outcome.calibration.sensors), ""),
         "at_the_end": choice is not None and choice.chosen in (choice.kappas[0], choice.kappas[-1]),
