@@ -9,7 +9,10 @@ again, with stamps that go on, in recordings of a hundred thousand samples.
 from __future__ import annotations
 
 import argparse
+import json
 import resource
+import subprocess
+import sys
 import tempfile
 import time
 from dataclasses import replace
@@ -18,14 +21,11 @@ from pathlib import Path
 import numpy as np
 
 from ftcal import logs
-from ftcal.all_sensors import calibrate_all
 from ftcal.config import read_job
-from ftcal.pipeline import ft_channel
-from ftcal.progress import Steps, silent
+from ftcal.logs import tables
 from ftcal.recording import NANOSECONDS, Recording, Signal
 from ftcal.scenario import read_scenario
 from ftcal.staging import stage
-from ftcal.urdf import read_robot
 
 SCENARIO = """
 model = "iCubGenova04"
@@ -39,6 +39,13 @@ joints = ["r_hip_pitch", "r_hip_roll", "r_hip_yaw", "r_knee", "r_ankle_pitch", "
 support = ["l_hip_pitch", "l_hip_roll", "l_knee", "l_ankle_pitch", "l_ankle_roll"]
 sole = {{}}
 duration = 100
+"""
+TAKE = """
+[[recordings]]
+log = "wide {}"
+contact = "l_sole"
+train = [[60.0, 1e9]]
+test = [[0.0, 50.0]]
 """
 PARTS = [f"{side}_{part}" for side in ("l", "r") for part in ("arm", "leg", "foot")]
 LONGEST = 100_000
@@ -74,28 +81,33 @@ def main() -> None:
         job = read_job(file)
         section = job.recordings[0]
         recording = logs.read(job.path(section.log), section.layout(), name="wide")
-        robot = read_robot(job.path(job.robot))
-        channels = [ft_channel(job, robot, sensor) for sensor in job.sensors]
-    each = min(wanted, LONGEST)
-    count = max(1, wanted // each)
-    length = len(recording.channels[0])
-    takes = [told_again(recording, -(-each // length), f"wide {k}") for k in range(count)]
-    windows = {"train": ((60.0, 1e9),), "test": ((0.0, 50.0),)}
-    sections = tuple(section.model_copy(update={"name": t.name, **windows}) for t in takes)
-    job = job.model_copy(update={"recordings": sections})
-    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-    begun = time.perf_counter()
-    nothing: list[tuple[()]] = [() for _ in takes]
-    steps = Steps(silent, 2 * len(takes) + 3)
-    fit = calibrate_all(job, robot, channels, takes, nothing, steps)
-    seconds = time.perf_counter() - begun
-    after = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-    total = sum(len(take.channels[0]) for take in takes)
-    print(f"{total} samples of {len(channels)} sensors in {count} recordings")
+        each = min(wanted, LONGEST)
+        count = max(1, wanted // each)
+        length = len(recording.channels[0])
+        logged = 0
+        for k in range(count):
+            take = told_again(recording, -(-each // length), f"wide {k}")
+            logged += len(take.channels[0])
+            tables.write(take, file.parent / f"wide {k}")
+        sensors_only = file.read_text().split("[[recordings]]")[0]
+        job_file = file.parent / "long.toml"
+        job_file.write_text(
+            sensors_only + '[fit]\nscope = "whole body"\n' + "".join(map(TAKE.format, range(count)))
+        )
+        begun = time.perf_counter()
+        command = [sys.executable, "-m", "ftcal.cli", "calibrate", str(job_file), "--json"]
+        subprocess.run(
+            [*command, "-o", str(Path(folder) / "out")], stdout=subprocess.DEVNULL, check=False
+        )
+        seconds = time.perf_counter() - begun
+        made = json.loads((Path(folder) / "out" / "metrics.json").read_text())
+    peak = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1024
+    print(f"{logged} samples of {len(PARTS)} sensors in {count} recordings, ftcal calibrate")
     print(
-        f"{seconds:.1f} s, {seconds / total * 1e6:.1f} us a sample; kappa {fit.posterior.kappa:.3g}"
+        f"{seconds:.1f} s, {seconds / logged * 1e6:.1f} us a sample, reading and report included;"
+        f" kappa {made['prior']['kappa']:.3g}"
     )
-    print(f"peak memory {after:.0f} MB, of which {before:.0f} MB before the fit (the logs)")
+    print(f"peak memory {peak:.0f} MB")
 
 
 if __name__ == "__main__":

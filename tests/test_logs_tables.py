@@ -230,9 +230,9 @@ def test_two_tables_with_one_signal_are_refused(tmp_path: Path) -> None:
 
 
 def test_file_of_another_kind_is_refused(tmp_path: Path) -> None:
-    (tmp_path / "log.mat").touch()
-    with pytest.raises(LogError, match=r"no reader for '\.mat'"):
-        read(tmp_path / "log.mat")
+    (tmp_path / "log.xlsx").touch()
+    with pytest.raises(LogError, match=r"no reader for '\.xlsx'"):
+        read(tmp_path / "log.xlsx")
 
 
 numbers = st.floats(allow_nan=False, allow_infinity=False)

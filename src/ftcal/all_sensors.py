@@ -46,8 +46,8 @@ if TYPE_CHECKING:
     from jaxtyping import Float
     from numpy import ndarray as Array
 
-ENOUGH = 5000
-"""Samples of a sub-model in a recording that tables and scores rest on."""
+ENOUGH, ALTOGETHER = 5000, 10_000
+"""Samples of a sub-model in one recording, and in all, that tables and scores rest on."""
 
 ROBUST_ROUNDS = 2
 """Rounds of weights and fit."""
@@ -71,9 +71,9 @@ class BalancedTake:
     test: tuple[tuple[float, float], ...]
     """Stretches held out."""
 
-    def thinned(self) -> BalancedTake:
+    def thinned(self, enough: int = ENOUGH) -> BalancedTake:
         """Return the take with samples enough for tables and scores; sums have seen all."""
-        thin = [b.rows(slice(None, None, max(1, len(b.time) // ENOUGH))) for b in self.balances]
+        thin = [b.rows(slice(None, None, max(1, len(b.time) // enough))) for b in self.balances]
         return replace(self, balances=tuple(thin))
 
     def span(self, segment: Segment) -> tuple[float, float]:
@@ -209,13 +209,12 @@ def calibrate_all(
     takes: list[BalancedTake] = []
     trained: list[list[Terms]] = []
     held: list[Terms] = []
-    given = list(zip(job.recordings, recordings, findings, strict=True))
-    for section, recording, found in given:
+    for section, recording, found in zip(job.recordings, recordings, findings, strict=True):
         steps.begin(f"balancing {section.label}")
         take = (balancing or balanced)(job, robot, channels, section, recording, found)
         trained.append(take.terms(take.train, frames, model))
         held += take.terms(take.test, frames, model)
-        takes.append(take.thinned())
+        takes.append(take.thinned(min(ENOUGH, ALTOGETHER // len(recordings))))
     steps.begin("fitting all sensors")
     terms = list(itertools.chain(*trained))
     samples = int(sum(term.count for term in terms))
@@ -226,7 +225,9 @@ def calibrate_all(
         # only sums were kept: recordings with a cell that stands apart are balanced once more
         for i, mine in enumerate(trained):
             if weights := robust_weights(mine, posterior):
-                take = (balancing or balanced)(job, robot, channels, *given[i])
+                take = (balancing or balanced)(
+                    job, robot, channels, job.recordings[i], recordings[i], findings[i]
+                )
                 trained[i] = take.terms(take.train, frames, model, weights)
         terms = list(itertools.chain(*trained))
         posterior, _ = fit_all(terms, frames, kappa=posterior.kappa)
@@ -296,11 +297,13 @@ def balanced(
         by_mass=job.whole_body.by_mass,
         reduced=partial(smoothed, seconds=job.whole_body.smoothing),
     )
+    names = {c.sensor: named.name for c, named in zip(channels, job.sensors, strict=True)}
+    found = settled(found, section, names)
     inputs: dict[str, list[Array]] = {}
     for balance in found:
         for name, values in balance.inputs.items():
             inputs.setdefault(name, []).append(values)
-    steps_at = sorted({time for times in section.breaks.values() for time in times})
+    steps_at = sorted({time for times in section.known_breaks.values() for time in times})
     pieces = list(itertools.pairwise([-np.inf, *steps_at, np.inf]))
     spans = both([(i.start, i.stop) for i in section.schedule().intervals], pieces)
     train: Windows = ((-np.inf, np.inf),) if section.train is None else section.train
@@ -311,19 +314,33 @@ def balanced(
         recording.name,
         found,
         {name: np.concatenate(parts).mean(axis=0) for name, parts in inputs.items()},
-        {
-            channel.sensor: segments(section, named.name)
-            for channel, named in zip(channels, job.sensors, strict=True)
-            if channel.sensor in inputs
-        },
+        {sensor: segments(section, name) for sensor, name in names.items() if sensor in inputs},
         both(spans, train),
         both(spans, held),
     )
 
 
+def settled(
+    found: tuple[Balance, ...], section: RecordingSection, names: Mapping[str, str]
+) -> tuple[Balance, ...]:
+    """Return balances without samples that the job leaves out of training for a sensor of them.
+
+    `names` are those of the sensors in the job.
+    """
+    if not section.leave_out:
+        return found
+    kept = []
+    for one in found:
+        masks = [section.trained_on(names[sensor], one.time) for sensor in one.inputs]
+        rows = np.flatnonzero(np.all(masks, axis=0))
+        if len(rows):
+            kept.append(one.rows(rows))
+    return tuple(kept)
+
+
 def segments(section: RecordingSection, sensor: str) -> tuple[Segment, ...]:
     """Return the offset segments of a sensor, as the job calls it: cut where the offset steps."""
-    edges = [-np.inf, *section.breaks.get(sensor, ()), np.inf]
+    edges = [-np.inf, *section.known_breaks.get(sensor, ()), np.inf]
     return tuple(Segment(section.label, a, b) for a, b in itertools.pairwise(edges))
 
 

@@ -8,24 +8,27 @@ the mean x0 of one segment: `o = w0 - C x0`, so `w = C (x - x0) + w0`. Gain and 
 
 The standard deviation of o itself is that of a reading of zero counts, far away: it holds
 x0^T Sigma x0 and would count the gain twice.
+
+A log passes through in pieces, so its length costs no memory. What a piece becomes does not depend
+on where it was cut, to the last bit: no sum here goes over samples, nor asks how many there are.
 """
 
 from __future__ import annotations
 
-import tempfile
+from collections.abc import Mapping
+from contextlib import AbstractContextManager
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
 from ftcal.calibration import Calibration, Centre, Offset, SensorCalibration
 from ftcal.errors import DataError, OutputError, unknown
-from ftcal.law import Law
-from ftcal.logs import tables
-from ftcal.recording import Recording, Signal
+from ftcal.logs.pieces import Pieces
+from ftcal.recording import NANOSECONDS, Recording, Signal
 from ftcal.sensor import AXES
-from ftcal.signals import interpolate
+from ftcal.signals import default_gap
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Int
@@ -37,15 +40,63 @@ AUTO = "auto"
 """Name of the choice to take the log's own offset, else the latest that is known."""
 
 
+BLOCK_ROWS = 4096
+"""Rows that are mapped at a time: what was read and what is written stay in cache."""
+
+
+class Writer(Protocol):
+    """A file that grows by pieces of a recording."""
+
+    def add(self, recording: Recording) -> None:
+        """Append the samples of a piece."""
+
+
+def apply(
+    calibration: Calibration,
+    log: Pieces,
+    path: Path,
+    offset: str = AUTO,
+    *,
+    sd: bool = False,
+    rows: int | None = None,
+) -> dict[str, str]:
+    """Write the corrected wrenches of a log at `path`, as `corrected` returns them of the whole.
+
+    Returns by sensor whose offset was added. In memory are `rows` samples of each signal (a few
+    MB where it is not said) and what a thermometer needs beyond. Raises as `corrected` does,
+    `LogError` for what only the numbers of the log show, and `OutputError`; then nothing is
+    written.
+    """
+    _, used = corrected(calibration, log.head, offset, sd=sd)  # refused before a file is begun
+    thermometers = {
+        sensor.temperature_signal
+        for sensor in calibration.sensors
+        if sensor.sensor in used and sensor.temperature_gain is not None
+    }
+    gaps = {name: longest_pause(log.period("temperatures", name)) for name in thermometers if name}
+    with writer(path) as file:
+        for piece in log.pieces(rows=rows, overlap=max(gaps.values(), default=0.0)):
+            shown = replace(piece.recording, channels=piece.own.channels)
+            file.add(corrected(calibration, shown, offset, sd=sd, gaps=gaps)[0])
+    return used
+
+
 def corrected(
-    calibration: Calibration, recording: Recording, offset: str = AUTO, *, sd: bool = False
+    calibration: Calibration,
+    recording: Recording,
+    offset: str = AUTO,
+    *,
+    sd: bool = False,
+    gaps: Mapping[str, float] | None = None,
 ) -> tuple[Recording, dict[str, str]]:
     """Return the corrected wrenches [N, Nm] of every calibrated sensor the recording carries.
 
     Also returns, by sensor, whose offset was added. `offset` names a recording of the calibration,
     or is `zero` or `auto`. With `sd` a sensor has columns `fx_sd` to `tz_sd` too, of the axes whose
-    standard deviation is known (`wrench_sd`). Raises `DataError` where no calibrated sensor is in
-    the log, the offset is not known, or its standard deviation is asked for and is not.
+    standard deviation is known (`wrench_sd`). `gaps` says of a thermometer which pause [s] is a
+    hole, where the recording is a piece that cannot tell (default `default_gap`). Raises
+    `DataError` where no calibrated sensor is in the log, the offset is not known, or its standard
+    deviation is asked for and is not.
     """
     logged = {signal.name: signal for signal in recording.channels}
     carried = [sensor for sensor in calibration.sensors if sensor.signal in logged]
@@ -57,14 +108,37 @@ def corrected(
     signals, used = [], {}
     for sensor in carried:
         segment, used[sensor.sensor] = chosen_offset(sensor, recording.name, offset)
-        stamps, x = inputs(sensor, recording, logged[sensor.signal])
-        wrench = Law(sensor.coefficients, np.array(segment.offset)).read(x)
+        stamps, x = inputs(sensor, recording, logged[sensor.signal], gaps=gaps or {})
+        wrench = by_rows(x, sensor.coefficients, np.array(segment.offset))
         signal = Signal(sensor.sensor, AXES, stamps, wrench)
         signals.append(with_sd(signal, sensor, x, segment) if sd else signal)
     only = replace(
         recording, channels=tuple(signals), joints=(), temperatures=(), imus=(), findings=()
     )
     return only, used
+
+
+def by_rows(
+    x: Float[Array, "N P"], matrix: Float[Array, "M P"], offset: Float[Array, "M"]
+) -> Float[Array, "N M"]:
+    """Return `matrix x + offset` of every row, rounded alike wherever the row stands.
+
+    BLAS rounds a row by its place among the others, and a log in pieces must give the bits of the
+    whole: products are added channel by channel. Each column of the result is contiguous.
+    """
+    result = np.empty((len(matrix), len(x)))
+    product = np.empty(BLOCK_ROWS)
+    for start in range(0, len(x), BLOCK_ROWS):
+        block = x[start : start + BLOCK_ROWS]
+        term = product[: len(block)]
+        for row, constant, axis in zip(matrix, offset, result, strict=True):
+            total = axis[start : start + BLOCK_ROWS]
+            np.multiply(block[:, 0], row[0], out=total)
+            for channel in range(1, len(row)):
+                np.multiply(block[:, channel], row[channel], out=term)
+                total += term
+            total += constant
+    return result.T
 
 
 def chosen_offset(sensor: SensorCalibration, recording: str, choice: str) -> tuple[Offset, str]:
@@ -86,21 +160,60 @@ def chosen_offset(sensor: SensorCalibration, recording: str, choice: str) -> tup
 
 
 def inputs(
-    sensor: SensorCalibration, recording: Recording, signal: Signal
+    sensor: SensorCalibration,
+    recording: Recording,
+    signal: Signal,
+    *,
+    gaps: Mapping[str, float],
 ) -> tuple[Int[Array, "N"], Float[Array, "N P"]]:
     """Return stamps [ns] and what the law reads: raw channels, and T - T_ref [K] where it has one.
 
     With a temperature term, samples without a temperature are left out.
     """
-    channels = sensor.workbench().channels(signal.values)
+    decode = channels_of_logged(sensor)
+    channels = by_rows(signal.values, decode, np.zeros(len(decode)))
     if sensor.temperature_gain is None:
         return signal.stamps, channels
     if sensor.temperature_signal is None:
         raise DataError(f"calibration of {sensor.sensor!r} names no temperature signal")
-    logged = interpolate(recording.temperature(sensor.temperature_signal), signal.stamps)
-    warmer = logged[:, 0] - sensor.reference_temperature
+    thermometer = recording.temperature(sensor.temperature_signal)
+    gap = gaps.get(thermometer.name, default_gap(thermometer))
+    warmer = temperature_at(thermometer, signal.stamps, gap) - sensor.reference_temperature
     kept = np.isfinite(warmer)
     return signal.stamps[kept], np.column_stack([channels, warmer])[kept]
+
+
+def channels_of_logged(sensor: SensorCalibration) -> Float[Array, "K K"]:
+    """Return the matrix that makes raw channels of what a log carries: the identity, or C_w^-1."""
+    return sensor.workbench().channels(np.eye(len(sensor.gain[0]))).T
+
+
+def longest_pause(period: float) -> float:
+    """Return `default_gap` [s] of a signal from its median period [s]; NaN is of one sample."""
+    return max(0.05, 5.0 * period)
+
+
+def temperature_at(thermometer: Signal, clock: Int[Array, "N"], gap: float) -> Float[Array, "N"]:
+    """Return the temperature on the stamps `clock` [ns]; NaN in holes and outside.
+
+    As `signals.interpolate`, but the two samples about a stamp alone decide, to the last bit: it
+    counts time from the first sample of a run, which a piece does not know.
+    """
+    stamps, values = thermometer.stamps, thermometer.values[:, 0]
+    if not len(stamps):
+        return np.full(len(clock), np.nan)
+    # whether a sample continues the one before it; none before the first, none after the last
+    linked = np.zeros(len(stamps) + 1, dtype=bool)
+    linked[1:-1] = np.diff(stamps) <= round(gap * NANOSECONDS)
+    linked[list(thermometer.breaks)] = False
+    before = np.searchsorted(stamps, clock, side="right") - 1
+    row = np.maximum(before, 0)
+    following = np.minimum(row + 1, len(stamps) - 1)
+    sampled = stamps[row] == clock
+    share = (clock - stamps[row]) / np.maximum(stamps[following] - stamps[row], 1)
+    between = values[row] + share * (values[following] - values[row])
+    supported = (before >= 0) & (linked[row + 1] | (sampled & linked[row]))
+    return np.where(supported, between, np.nan)
 
 
 def with_sd(
@@ -135,40 +248,52 @@ def wrench_sd(
     not show (a mass that is wrong by a factor). Raises `DataError` where the file does not say
     about which mean the offset was found.
     """
+    centre = known_centre(sensor, segment)
+    away = x - np.array(centre.inputs)
+    sd = np.full((len(x), 6), np.nan)
+    for axis, (name, root) in enumerate(zip(AXES, gain_roots(sensor), strict=True)):
+        if name in refused(sensor):
+            continue
+        squared = np.full(len(x), centre.sd[axis] ** 2)
+        for spread in by_rows(away, root.T, np.zeros(len(root))).T:
+            squared += spread**2
+        sd[:, axis] = np.sqrt(squared)
+    return sd
+
+
+def known_centre(sensor: SensorCalibration, segment: Offset) -> Centre:
+    """Return the mean about which an offset was found; `DataError` where the file is silent."""
     if segment.centre is None:
         raise DataError(
             f"offset of {sensor.sensor!r} for {segment.recording!r} has no `centre`, so its"
             " standard deviation is not known; calibrate each sensor by itself with this ftcal, or"
             " leave out --sd"
         )
-    away = x - np.array(segment.centre.inputs)
-    sd = np.full((len(x), 6), np.nan)
-    for axis, name in enumerate(AXES):
-        if name in refused(sensor):
-            continue
-        # a gain that nothing moved, or a prior that is certain, leaves Sigma singular: no Cholesky
-        d, V = np.linalg.eigh(np.array(sensor.covariance[axis]))
-        spread = away @ (V * np.sqrt(np.maximum(d, 0.0)))
-        from_gain = np.einsum("np,np->n", spread, spread)
-        sd[:, axis] = np.sqrt(from_gain + segment.centre.sd[axis] ** 2)
-    return sd
+    return segment.centre
 
 
-def write_table(recording: Recording, path: Path) -> None:
-    """Write the signals of a recording, whole or not at all.
+def gain_roots(sensor: SensorCalibration) -> Float[Array, "6 P P"]:
+    """Return R of each row of the gain, with `R R^T` its covariance."""
+    # a gain that nothing moved, or a prior that is certain, leaves Sigma singular: no Cholesky
+    d, V = np.linalg.eigh(np.array(sensor.covariance))
+    return np.asarray(V * np.sqrt(np.maximum(d, 0.0))[:, None, :])
+
+
+def writer(path: Path) -> AbstractContextManager[Writer]:
+    """Return what writes signals at `path`, whole or not at all, piece by piece.
 
     `*.csv` and `*.parquet` are one table, for signals of one clock; a name without a suffix is a
-    folder of Parquet files, one a signal. Raises `OutputError`.
+    folder of Parquet files, one a signal; `*.mcap` are ROS messages. Raises `OutputError`.
     """
-    if path.suffix.lower() not in {"", ".csv", ".parquet"}:
-        raise OutputError(f"{path}: unknown table {path.suffix!r}; use .csv, .parquet or a folder")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(dir=path.parent, prefix=f".{path.name}.") as scratch:
-            made = Path(scratch) / path.name
-            tables.write(recording, made)
-            made.replace(path)
-    except OSError as error:
+    suffix = path.suffix.lower()
+    if suffix == ".mcap":
+        from ftcal.logs import mcap_writer
+
+        return mcap_writer.Writer(path)
+    from ftcal.logs import tables_append
+
+    if suffix not in tables_append.SUFFIXES:
         raise OutputError(
-            f"{path}: cannot be written ({error.strerror or error}); name another place with -o"
-        ) from error
+            f"{path}: unknown table {path.suffix!r}; use .csv, .parquet, .mcap or a folder"
+        )
+    return tables_append.Writer(path)

@@ -15,7 +15,8 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -43,7 +44,7 @@ if TYPE_CHECKING:
     from numpy import ndarray as Array
 
 
-PIECE = 20_000
+PIECE = 10_000
 """Samples whose transforms are held at once."""
 
 KEPT = 5
@@ -86,6 +87,9 @@ class Balance:
     by_mass: bool = False
     """Whether joints inside it are not logged: the three rows of the forces alone hold, as long as
     nothing beyond those joints is thrown about."""
+    model_errors: dict[str, Float[Array, "N 6"]] = field(default_factory=dict)
+    """What one standard deviation of an error of the model adds to what the readings add up to,
+    less h [N, Nm]; by its name, where any is suspected."""
 
     @property
     def equations(self) -> int:
@@ -106,6 +110,7 @@ class Balance:
             {name: X[where] for name, X in self.transforms.items()},
             (self.required if required is None else required)[where],
             self.by_mass,
+            {name: change[where] for name, change in self.model_errors.items()},
         )
 
     def residual(self, readings: Mapping[str, Float[Array, "N 6"]]) -> Float[Array, "N 6"]:
@@ -274,7 +279,7 @@ def _in_interval(
     needed = external_wrenches(robot, motion, contact, silent)
     wrench = dict(needed.wrench)
     if by_mass and needed.left_out:
-        stiff = robot.stiffened(name for names in needed.left_out.values() for name in names)
+        stiff = _stiffened(robot, tuple(n for names in needed.left_out.values() for n in names))
         frames = {name: name for name in needed.left_out}
         wrench |= external_wrenches(stiff, motion, contact, silent, frames).wrench
     found = []
@@ -297,6 +302,12 @@ def _in_interval(
             )
         )
     return found
+
+
+@lru_cache(maxsize=32)
+def _stiffened(robot: Robot, joints: tuple[str, ...]) -> Robot:
+    """Return the robot with some joints fixed at zero, kept: kernels are kept with a robot."""
+    return robot.stiffened(joints)
 
 
 def _reachable(robot: Robot, model: SubModel, motion: Motion, contact: Contact) -> bool:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import functools
 import json
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar
@@ -22,9 +22,11 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from ftcal.config import Job
+    from ftcal.contact import ContactSchedule
     from ftcal.delay import Delay
     from ftcal.diagnosis import Diagnosis
     from ftcal.progress import Progress
+    from ftcal.recording import Recording
     from ftcal.steps import Step
     from ftcal.timeline import Phase
 
@@ -135,7 +137,7 @@ def main() -> None:
     "contacts",
     multiple=True,
     metavar="LINK",
-    help="For --diagnose: link that touches the world throughout; once for each, the first still.",
+    help="For --diagnose, --init: link that touches throughout; once for each, the first still.",
 )
 @click.option(
     "--rival",
@@ -144,6 +146,7 @@ def main() -> None:
     multiple=True,
     help="For --diagnose: another URDF that may be the robot of the log; once for each.",
 )
+@click.option("--init", is_flag=True, help="Print a job file for LOG instead, to be edited.")
 @as_json
 @mendable
 def inspect(
@@ -157,13 +160,18 @@ def inspect(
     diagnose: bool,
     contacts: tuple[str, ...],
     rivals: tuple[Path, ...],
+    init: bool,
     machine: bool,
 ) -> None:
     """Show what is in LOG, what is wrong with it and what of it the robot knows."""
     if diagnose and (robot is None or not (contacts or feet)):
         raise click.UsageError("--diagnose needs --robot, and --contact or --feet")
-    if (contacts or rivals) and not diagnose:
-        raise click.UsageError("--contact and --rival need --diagnose")
+    if rivals and not diagnose:
+        raise click.UsageError("--rival needs --diagnose")
+    if contacts and not (diagnose or init):
+        raise click.UsageError("--contact needs --diagnose or --init")
+    if init and (diagnose or machine):
+        raise click.UsageError("--init prints a job file alone, without --diagnose or --json")
     if feet is not None and robot is None:
         raise click.UsageError("--feet needs --robot")
     if plot is not None and feet is None:
@@ -173,8 +181,8 @@ def inspect(
     from ftcal.urdf import read_robot
 
     recording = logs.read(log, logs.Layout(time=time, zero=zero))
-    findings = (*recording.findings, *examine(recording))
     model = None if robot is None else read_robot(robot)
+    findings = (*recording.findings, *examine(recording, robot=model))
     phases: tuple[Phase, ...] = ()
     if feet is not None and model is not None:
         from ftcal.plots.contact import contact_timeline
@@ -185,15 +193,23 @@ def inspect(
         phases = timeline.phases
         if plot is not None:
             write_plot(plot, contact_timeline(timeline, recording.name))
+    if init:
+        from ftcal.job_draft import draft
+
+        told = {key: value for key, value in (("time", time), ("zero", zero)) if value}
+        if told.get("time") == "time":
+            del told["time"]
+        stood = touches(recording, contacts, phases)
+        click.echo(draft(recording, log, model, robot, stood, told), nl=False)
+        return
     verdict: Diagnosis | None = None
     late: tuple[Delay, ...] = ()
     stepped: dict[str, tuple[Step, ...]] = {}
     if diagnose and model is not None:
         from ftcal import delay, diagnosis, steps
 
-        schedule = (
-            diagnosis.throughout(recording, contacts) if contacts else diagnosis.touching(phases)
-        )
+        schedule = touches(recording, contacts, phases)
+        assert schedule is not None
         verdict = diagnosis.diagnose(
             recording,
             model,
@@ -219,6 +235,17 @@ def inspect(
     if verdict is not None:
         terminal.print_diagnosis(out, verdict)
         terminal.print_noticed(out, late, stepped)
+
+
+def touches(
+    recording: Recording, contacts: Sequence[str], phases: Sequence[Phase]
+) -> ContactSchedule | None:
+    """Return who touched the world as far as it was told or is seen; None where it is not."""
+    from ftcal.diagnosis import throughout, touching
+
+    if contacts:
+        return throughout(recording, contacts)
+    return touching(phases) if phases else None
 
 
 @main.command(short_help="Calibrate the sensors of a job file.")
@@ -354,7 +381,8 @@ def validate(calibration: Path, job: Path, machine: bool) -> None:
 @main.command(short_help="Recalibrate a log.")
 @click.argument("calibration", type=TEXT)
 @click.argument("log", type=TEXT)
-@click.option("-o", "--output", type=TEXT, required=True, help="Table (.csv, .parquet) or folder.")
+@click.option("-o", "--output", type=TEXT, required=True,
+              help="Table (.csv, .parquet), folder, or .mcap.")  # fmt: skip
 @click.option(
     "--offset",
     default="auto",
@@ -368,20 +396,83 @@ def apply(
     calibration: Path, log: Path, output: Path, offset: str, like: Path | None, *, sd: bool
 ) -> None:
     """Recalibrate LOG: write the corrected wrenches of every calibrated sensor that it carries."""
-    from ftcal import logs
-    from ftcal.applying import corrected, refused, write_table
+    from ftcal import applying, logs
     from ftcal.calibration import read_calibration
     from ftcal.config import read_job
 
     layout = logs.Layout() if like is None else read_job(like).recordings[0].layout()
     known = read_calibration(calibration)
-    recording, used = corrected(known, logs.read(log, layout), offset, sd=sd)
-    write_table(recording, output)
+    used = applying.apply(known, logs.in_pieces(log, layout), output, offset, sd=sd)
     for sensor, source in used.items():
         click.echo(f"{sensor}: offset of {source}")
-        if sd and (kept := refused(known.sensor(sensor))):
+        if sd and (kept := applying.refused(known.sensor(sensor))):
             click.echo(f"{sensor}: no standard deviation of {', '.join(kept)}: Workbench kept")
     click.echo(f"wrote {output}")
+
+
+@main.command(short_help="Write a calibration as the file a robot reads.")
+@click.argument("calibration", type=TEXT)
+@click.option(
+    "--to",
+    "kind",
+    type=click.Choice(["yarp", "firmware", "ros", "ati", "c", "json", "npz"]),
+    required=True,
+    help="What reads it.",
+)
+@click.option("-o", "--output", type=TEXT, required=True, help="File, or folder of the files.")
+@click.option("--sensor", "sensors", multiple=True, metavar="NAME", help="Default: all sensors.")
+@click.option(
+    "--offset",
+    default="auto",
+    show_default=True,
+    help="Which recording's offset: its name, `zero`, or auto (the last).",
+)
+@click.option("--undo", is_flag=True, help="Write the Workbench instead: back to before.")
+@mendable
+def export(
+    calibration: Path,
+    kind: str,
+    output: Path,
+    *,
+    sensors: tuple[str, ...],
+    offset: str,
+    undo: bool,
+) -> None:
+    """Write CALIBRATION for a robot; every file is read back and compared before it is kept."""
+    from ftcal.export import export as write
+
+    written = write(calibration, kind, output, sensors=sensors, offset=offset, undo=undo)
+    for name, remarks in written.remarks.items():
+        for remark in remarks:
+            click.echo(f"{name}: {remark}")
+    for path in written.files:
+        click.echo(f"wrote {path}")
+
+
+@main.command(short_help="Show what changes between two calibration files.")
+@click.argument("a", type=TEXT)
+@click.argument("b", type=TEXT)
+@click.option("--log", type=TEXT, help="Show the change at the loads of this log, too.")
+@click.option("--like", type=TEXT, help="Job whose first recording says how LOG is to be read.")
+@as_json
+@mendable
+def diff(a: Path, b: Path, log: Path | None, like: Path | None, machine: bool) -> None:
+    """Show what changes on the robot in N and Nm when B takes the place of A.
+
+    A and B are calibration.json, or files of `ftcal export`.
+    """
+    from ftcal import logs
+    from ftcal.comparison import as_record, compare, print_changes, unpaired
+    from ftcal.config import read_job
+    from ftcal.export import read
+
+    layout = logs.Layout() if like is None else read_job(like).recordings[0].layout()
+    old, new = read(a), read(b)
+    changes = compare(old, new, None if log is None else logs.read(log, layout))
+    if machine:
+        click.echo(json.dumps(as_record(changes, unpaired(old, new)), indent=1))
+    else:
+        print_changes(console(), changes, unpaired(old, new))
 
 
 @main.command(short_help="Weigh an unknown tool on a wrist sensor.")

@@ -12,7 +12,7 @@ import itertools
 import tomllib
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
@@ -25,6 +25,10 @@ from ftcal.logs import Layout
 from ftcal.motion import STANDARD_GRAVITY
 from ftcal.pairing import SignalOptions
 from ftcal.signals import JOINT_ORDER, JOINT_WINDOW, SMOOTHING_ORDER, SMOOTHING_WINDOW
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool, Float
+    from numpy import ndarray as Array
 
 Window = Annotated[tuple[float, float], Field(description="[start, stop) in seconds")]
 Six = Annotated[tuple[float, float, float, float, float, float], Field()]
@@ -87,8 +91,10 @@ class RecordingSection(Section):
     """Windows to train on, an offset each; default: all of it, unless `test` is given alone."""
     test: tuple[Window, ...] = ()
     """Windows held out for validation."""
-    breaks: dict[str, tuple[float, ...]] = {}
-    """Whole body: seconds at which the offset of a sensor steps; its name to them."""
+    breaks: dict[str, tuple[float, ...]] | Literal["auto"] = {}
+    """Seconds at which the offset of a sensor steps, its name to them; or to be searched for."""
+    leave_out: dict[str, tuple[Window, ...]] = {}
+    """Windows in which a sensor is not trained on, its name to them."""
     zero: str | None = None
     """Signal whose first sample is second 0; default: the earliest of all."""
     angle: Literal["deg", "rad"] | None = None
@@ -114,7 +120,7 @@ class RecordingSection(Section):
     def _consistent(self) -> RecordingSection:
         faults = [
             f"window [{a:g}, {b:g}] ends before it starts"
-            for a, b in (*(self.train or ()), *self.test)
+            for a, b in (*(self.train or ()), *self.test, *sum(self.leave_out.values(), ()))
             if not b > a
         ]
         if (self.contact is None) == (not self.contacts):
@@ -138,6 +144,21 @@ class RecordingSection(Section):
     def label(self) -> str:
         """Name in tables and in the calibration."""
         return self.name or self.log.stem or str(self.log)
+
+    @property
+    def known_breaks(self) -> dict[str, tuple[float, ...]]:
+        """The breaks that are given; none while they are to be searched for."""
+        return self.breaks if self.breaks != "auto" else {}
+
+    def trained_on(self, sensor: str, time: Float[Array, "N"]) -> Bool[Array, "N"]:
+        """Return which times [s] are not left out; what is held out stays, however it is."""
+        windows = self.leave_out.get(sensor, ())
+        out = np.zeros(len(time), dtype=bool)
+        for start, stop in windows:
+            out |= (time >= start) & (time < stop)
+        for start, stop in self.test if windows else ():
+            out &= (time < start) | (time >= stop)
+        return ~out
 
     @property
     def trains(self) -> bool:
@@ -335,10 +356,11 @@ class Job(Section):
         labels = [r.label for r in self.recordings]
         sensors = [s.name for s in self.sensors]
         for section in self.recordings:
-            for name, times in section.breaks.items():
-                if name not in sensors:
-                    where = f"recording {section.label!r}: breaks"
-                    raise ValueError(f"{where}: {unknown('sensor', name, sensors)}")
+            for key, names in (("breaks", section.known_breaks), ("leave_out", section.leave_out)):
+                if strangers := [name for name in names if name not in sensors]:
+                    where = f"recording {section.label!r}: {key}"
+                    raise ValueError(f"{where}: {unknown('sensor', strangers[0], sensors)}")
+            for name, times in section.known_breaks.items():
                 if list(times) != sorted(set(times)):
                     raise ValueError(
                         f"recording {section.label!r}: breaks of {name!r} must increase, got"

@@ -21,7 +21,9 @@ from ftcal.firmware import (
     lattice_fit,
 )
 from ftcal.recording import NANOSECONDS, Finding, FindingKind, Recording, Signal
+from ftcal.robot import Robot
 from ftcal.signals import default_gap
+from ftcal.unit_doubts import doubted_units
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
@@ -51,12 +53,15 @@ PLATEAU_VALUES = 50
 
 
 def examine(
-    recording: Recording, *, sensors: Mapping[str, FirmwareMatrix | None] | None = None
+    recording: Recording,
+    *,
+    sensors: Mapping[str, FirmwareMatrix | None] | None = None,
+    robot: Robot | None = None,
 ) -> tuple[Finding, ...]:
     """Return what is wrong with `recording`, and which sensors wrote it, signal by signal.
 
     `sensors` maps F/T signals to the matrices in their firmware, as far as known; `DataError` names
-    a signal the recording lacks.
+    a signal the recording lacks. With the `robot` its joint limits tell of wrong units.
     """
     matrices = dict(sensors or {})
     for name in matrices:
@@ -79,7 +84,7 @@ def examine(
             found += frozen(recording, signal)
             found += saturated(recording, signal, None if other else matrix)
             found += named
-    return tuple(found)
+    return (*found, *doubted_units(recording, robot))
 
 
 def frozen(recording: Recording, signal: Signal) -> tuple[Finding, ...]:

@@ -5,8 +5,10 @@ Each step is a room of its own (`pairing`, `fit`, `validate`, `verdict`); here t
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -16,7 +18,7 @@ from ftcal.fit import Fit, FitOptions, fit
 from ftcal.folds import Cell, Pool, about_zero, blocked_folds, by_segment, cells
 from ftcal.moments import within
 from ftcal.offset import InSituOffset, in_situ_offset
-from ftcal.pairing import FtChannel, Paired, Windows, apart, pair
+from ftcal.pairing import Attitude, FtChannel, Paired, Windows, apart, pair
 from ftcal.progress import Steps
 from ftcal.recording import Finding, Recording
 from ftcal.ridge import Estimate
@@ -25,6 +27,10 @@ from ftcal.samples import Samples
 from ftcal.sensor import Workbench
 from ftcal.validate import Envelope, HeldOut, Scores, held_out, load_envelope, score
 from ftcal.verdict import Verdict, judge
+
+if TYPE_CHECKING:
+    from jaxtyping import Bool
+    from numpy import ndarray as Array
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,6 +83,7 @@ def calibrate_sensor(
     """
     in_situ = job.fit.offset == "in situ"
     reference = reference_temperature(channel, recordings)
+    name = next(s.name for s in job.sensors if robot.sensor(s.name).name == channel.sensor)
     paired: list[Paired] = []
     training: list[Samples] = []
     fitted: list[Samples] = []
@@ -87,7 +94,8 @@ def calibrate_sensor(
         both = pair_recording(
             job, robot, channel, section, recording, found, reference, with_attitude=in_situ
         )
-        train, held = split(section, both, job.signals.smoothing)
+        both = settled(section, name, both)
+        train, held = split(section, name, both, job.signals.smoothing)
         if in_situ:
             taken = [raw_offset(both, segment, channel) for segment in train]
             fitted += [about_offset(*pair) for pair in zip(train, taken, strict=True)]
@@ -174,10 +182,34 @@ def reference_temperature(channel: FtChannel, recordings: Sequence[Recording]) -
     return float(np.concatenate(logged).mean())
 
 
+def settled(section: RecordingSection, sensor: str, both: Paired) -> Paired:
+    """Return the samples without those that the job leaves out of a sensor's training."""
+    if not section.leave_out.get(sensor):
+        return both
+    return chosen(both, section.trained_on(sensor, both.samples.time))
+
+
+def chosen(both: Paired, keep: Bool[Array, "N"]) -> Paired:
+    """Return some of the samples."""
+    samples, attitude = both.samples, both.attitude
+    warm = samples.temperature
+    return replace(
+        both,
+        samples=replace(
+            samples,
+            time=samples.time[keep],
+            channels=samples.channels[keep],
+            wrench=samples.wrench[keep],
+            temperature=None if warm is None else warm[keep],
+        ),
+        attitude=attitude and Attitude(attitude.gravity[keep], attitude.centre_of_mass[keep]),
+    )
+
+
 def split(
-    section: RecordingSection, both: Paired, smoothing: float
+    section: RecordingSection, sensor: str, both: Paired, smoothing: float
 ) -> tuple[list[Samples], list[Samples]]:
-    """Return the training and the held-out segments of one recording.
+    """Return the training and the held-out segments of one recording, cut where offsets step.
 
     Held-out windows give up what lies within one smoothing window of a training window.
     """
@@ -185,7 +217,17 @@ def split(
     train: Windows = section.train if section.train is not None else everything
     if section.train is None and section.test:
         train = []
-    return both.windows(train), both.windows(apart(section.test, train, smoothing))
+    held = apart(section.test, train, smoothing)
+    return both.windows(cut(section, sensor, train)), both.windows(cut(section, sensor, held))
+
+
+def cut(section: RecordingSection, sensor: str, windows: Windows) -> list[tuple[float, float]]:
+    """Return windows cut where the offset of a sensor steps."""
+    found = []
+    for start, stop in windows:
+        inside = [t for t in section.known_breaks.get(sensor, ()) if start < t < stop]
+        found += itertools.pairwise([start, *inside, stop])
+    return found
 
 
 def raw_offset(both: Paired, segment: Samples, channel: FtChannel) -> InSituOffset:

@@ -10,17 +10,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ftcal import logs
 from ftcal.calibration import Calibration
 from ftcal.config import Job, SensorSection
-from ftcal.errors import DataError, JobError, RobotError
+from ftcal.errors import DataError, RobotError
 from ftcal.evidence import provenance, sensor_calibration
-from ftcal.health import examine
 from ftcal.one_sensor import SensorOutcome, calibrate_sensor, pair_recording
 from ftcal.pairing import FtChannel, one_sided
 from ftcal.progress import Progress, Steps, silent
 from ftcal.recording import Finding, Recording
 from ftcal.robot import Robot
+from ftcal.segmentation import segmented
+from ftcal.takes import Takes
 from ftcal.urdf import read_robot
 from ftcal.validate import Scores, held_out, score
 from ftcal.workbench import read_workbench
@@ -32,7 +32,8 @@ class Outcome:
 
     job: Job
     robot: Robot
-    recordings: tuple[Recording, ...]
+    recordings: Sequence[Recording]
+    """Read again at every look where they are large."""
     findings: tuple[tuple[str, Finding], ...]
     """Recording and finding, in order."""
     sensors: tuple[SensorOutcome, ...]
@@ -54,18 +55,19 @@ def calibrate(job: Job, *, progress: Progress = silent) -> Outcome:
     check_contacts(job, robot, channels)
     takes = len(job.recordings)
     steps = Steps(progress, takes + len(channels) * (takes + 1 + job.fit.folds))
-    recordings, findings = read_recordings(job, channels, steps)
+    recordings = Takes.read(job, robot, channels, steps)
+    job, recordings = segmented(job, robot, channels, recordings, steps)
+    findings = recordings.findings
     outcomes = [
         calibrate_sensor(job, robot, channel, recordings, findings, steps) for channel in channels
     ]
     steps.begin("writing")
-    flat = tuple((r.name, f) for r, found in zip(recordings, findings, strict=True) for f in found)
     calibration = Calibration(
         robot=robot.name,
         sensors=[sensor_calibration(job, outcome) for outcome in outcomes],
-        provenance=provenance(job, robot, [recording.digest for recording in recordings]),
+        provenance=provenance(job, robot, [recording.digest for recording in recordings.outlines]),
     )
-    return Outcome(job, robot, tuple(recordings), flat, tuple(outcomes), calibration)
+    return Outcome(job, robot, recordings, recordings.flat, tuple(outcomes), calibration)
 
 
 def ft_channel(job: Job, robot: Robot, section: SensorSection) -> FtChannel:
@@ -93,23 +95,6 @@ def check_contacts(job: Job, robot: Robot, channels: Sequence[FtChannel]) -> Non
                 raise RobotError(f"recording {section.label!r}: {error}") from error
 
 
-def read_recordings(
-    job: Job, channels: Sequence[FtChannel], steps: Steps
-) -> tuple[list[Recording], list[tuple[Finding, ...]]]:
-    """Return the recordings of the job and what is wrong with each."""
-    recordings, findings = [], []
-    for section in job.recordings:
-        steps.begin(f"reading {section.label}")
-        path = job.path(section.log)
-        if not path.exists():
-            raise JobError(f"{job.file}: no log at {section.log}; paths are relative to the job")
-        recording = logs.read(path, section.layout(), name=section.label)
-        sensors = {c.signal: c.workbench.firmware for c in channels}
-        recordings.append(recording)
-        findings.append((*recording.findings, *examine(recording, sensors=sensors)))
-    return recordings, findings
-
-
 def score_calibration(
     calibration: Calibration, job: Job, *, progress: Progress = silent
 ) -> dict[str, Scores]:
@@ -123,13 +108,15 @@ def score_calibration(
     check_contacts(job, robot, channels)
     takes = len(job.recordings)
     steps = Steps(progress, takes * (1 + len(channels)))
-    recordings, findings = read_recordings(job, channels, steps)
+    recordings = Takes.read(job, robot, channels, steps)
     scores = {}
     for channel in channels:
         known = calibration.sensor(channel.sensor)
         coefficients = known.coefficients
         pieces = []
-        for section, recording, found in zip(job.recordings, recordings, findings, strict=True):
+        for section, recording, found in zip(
+            job.recordings, recordings, recordings.findings, strict=True
+        ):
             steps.begin(f"scoring {channel.sensor} in {section.label}")
             both = pair_recording(
                 job, robot, channel, section, recording, found, known.reference_temperature

@@ -129,7 +129,7 @@ def _made(
 ) -> Prepared:
     recording = logs.read(job.path(section.log), section.layout(), name=section.label)
     firmware = {c.signal: c.workbench.firmware for c in channels}
-    findings = (*recording.findings, *examine(recording, sensors=firmware))
+    findings = (*recording.findings, *examine(recording, sensors=firmware, robot=robot))
     switches = section.label == job.study.switching
     return Prepared(
         recording.name,

@@ -7,7 +7,7 @@ Units are SI: the one conversion has happened in the reader.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -23,7 +23,8 @@ NANOSECONDS = 1_000_000_000
 
 FindingKind = Literal[
     "frozen", "saturated", "gap", "session", "clock jump", "duplicate stamps", "truncated",
-    "lost packets", "empty", "off lattice", "serial",
+    "lost packets", "empty", "off lattice", "serial", "unit",
+    "offset step", "touch",
 ]  # fmt: skip
 
 
@@ -69,6 +70,11 @@ class Signal:
             return float("nan")
         return float(np.median(np.diff(self.stamps))) / NANOSECONDS
 
+    def outline(self) -> Signal:
+        """Return the signal with its first and last sample only."""
+        ends = sorted({0, len(self) - 1}) if len(self) else []
+        return replace(self, stamps=self.stamps[ends], values=self.values[ends], breaks=())
+
 
 @dataclass(frozen=True, slots=True)
 class Recording:
@@ -98,9 +104,26 @@ class Recording:
     @property
     def duration(self) -> float:
         """Seconds from second zero to the last sample of any signal."""
-        signals = (*self.joints, *self.channels, *self.temperatures, *self.imus)
-        last = max((int(s.stamps[-1]) for s in signals if len(s)), default=self.start)
+        last = max((int(s.stamps[-1]) for s in self.signals if len(s)), default=self.start)
         return (last - self.start) / NANOSECONDS
+
+    @property
+    def signals(self) -> tuple[Signal, ...]:
+        """Every signal once."""
+        return (*self.joints, *self.channels, *self.temperatures, *self.imus)
+
+    @property
+    def size(self) -> int:
+        """Bytes of all samples."""
+        return sum(signal.stamps.nbytes + signal.values.nbytes for signal in self.signals)
+
+    def outline(self) -> Recording:
+        """Return the recording with the first and last sample of every signal only."""
+        joints, channels, temperatures, imus = (
+            tuple(signal.outline() for signal in role)
+            for role in (self.joints, self.channels, self.temperatures, self.imus)
+        )
+        return replace(self, joints=joints, channels=channels, temperatures=temperatures, imus=imus)
 
     def channel(self, name: str) -> Signal:
         """Return the F/T signal `name`, or raise `DataError` with the near names."""

@@ -4,6 +4,11 @@ Encoder steps, backlash and wrong inertias leave residuals that last for seconds
 where the robot moves more. What counts for a gain is how the products of channel and residual add
 up over time, not how the residual alone does: H. White (Econometrica 48, 1980); with lags, W. Newey
 and K. West (Econometrica 55, 1987). Both need sums over cells of a second only: moments suffice.
+
+Noise of the channels does more than scatter: it draws a gain towards zero along directions that
+move little (W. Fuller, "Measurement Error Models", 1987, section 1.1). Second moments cannot say
+how much of what is left over is the channels' and how much the model's, so the gain stays, and its
+covariance grows by as far as it would be drawn if all were the channels'.
 """
 
 from __future__ import annotations
@@ -33,7 +38,8 @@ def robust_posterior(
 
     `problem` is pooled from `cells`. Along each principal direction j of y the information on axis
     i is `d_j^2 / m_ij`, with `d` the eigenvalues of S_yy and `m` the variance of the summed
-    products; never more than the noise alone would leave (`ScaledProblem.posterior`).
+    products; never more than the noise alone would leave (`ScaledProblem.posterior`). The square of
+    `drawn` is added.
     """
     E = problem.path(np.asarray(kappa)[None], noise)[0]
     d, V = np.linalg.eigh(problem.S_yy)
@@ -42,7 +48,30 @@ def robust_posterior(
     power = np.maximum(problem.noise_power(noise)[:, None] * d, summed)
     information = np.divide(d**2, power, out=np.zeros_like(power), where=power > 0)
     variance = 1.0 / (information + 1.0 / np.asarray(kappa)[:, None] ** 2)
-    return problem.estimate(E, np.einsum("pj,ij,qj->ipq", V, variance, V))
+    held = d + problem.penalties(np.asarray(kappa), noise)[:, None]
+    # directions that were taken out (`along`) hold no noise either
+    moves = np.broadcast_to(d > d[-1] * len(d) * np.finfo(float).eps, held.shape)
+    bias = np.divide(drawn(problem, E) @ V, held, out=np.zeros_like(held), where=moves) @ V.T
+    spread = np.einsum("pj,ij,qj->ipq", V, variance, V)
+    return problem.estimate(E, spread + bias[:, :, None] * bias[:, None, :])
+
+
+def drawn(problem: ScaledProblem, E: Float[Array, "6 P"]) -> Float[Array, "6 P"]:
+    """Return what noise takes from the cross scatter of y and z, if all is left over by channels.
+
+    With B = F^-1 C T^-1 and noise n of the K channels in y, a fit leaves `z - E y = -B n`: of
+    scatter L, and `S_zy` is less by `B S_nn = L B^+T`. A temperature has no noise.
+    """
+    inputs = len(problem.basis)
+    workbench = problem.workbench
+    channels = workbench.gain.shape[1]
+    to_residual = np.hstack([-E, np.eye(6)])
+    left = to_residual @ problem.moments.scatter @ to_residual.T
+    gain = problem.coefficients(E)[:, :channels] / workbench.full_scale[:, None]
+    B = gain @ np.linalg.inv(problem.basis[:channels, :channels])
+    found = np.zeros((6, inputs))
+    found[:, :channels] = left @ np.linalg.pinv(B).T
+    return found
 
 
 def products(

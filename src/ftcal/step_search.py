@@ -5,42 +5,35 @@ v_k in
 
     z(t) = E y(t) + b + c t + sum_k [d_k + v_k exp(-(t - t_k) / tau_k)] step(t - t_k) + noise
 
-of six axes, z and y as in `ftcal.ridge.ScaledProblem`, E held by its prior. All of them are fitted
-at once for every choice of times: a step cannot hide in E, nor bend it. The slow drift c t is no
-step. A step is seen through the filter that smoothed the samples, so `step` is that filter's answer
-to one; all is averaged in blocks, and in a hole no time is better than another.
+of six axes, z and y as in `ftcal.ridge.ScaledProblem`, E held by its prior; or in all balances of a
+robot at once, where d_k is what one sensor adds to every balance that it is part of. All of them
+are fitted at once for every choice of times: a step cannot hide in E, nor bend it. The slow drift
+c t is no step. In a hole no time is better than another.
 
 Steps are added one by one, those that do not earn their cost are dropped, and the noise is
 estimated anew each time. A step must explain more than `p log(n / g) + 2 log n` (the modified
 information criterion: N. R. Zhang, D. O. Siegmund, Biometrics 63(1), 2007) of squares over their
-variance: p sizes, n blocks of which g repeat one another (`ftcal.noise`); one more `log n` for tau.
+variance: p sizes, n places (blocks times sensors), of n blocks g repeat one another
+(`ftcal.noise`); one more `log n` for tau.
 """
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.polynomial import legendre
 
-from ftcal.filters import coefficients
 from ftcal.noise import inefficiency
+from ftcal.step_blocks import Event, Part, Problem
 
 if TYPE_CHECKING:
-    from jaxtyping import Float
+    from jaxtyping import Float, Int
     from numpy import ndarray as Array
 
 KAPPA = 0.05
 """Prior standard deviation of E: a mounting bends by about 0.03 of full scale (method 4)."""
-
-BLOCK, MOST_BLOCKS = 0.5, 600
-"""Samples are averaged over this long [s]; longer in logs of more blocks than that."""
-
-DRIFT = 3
-"""Order of the polynomial in time that a warming sensor drifts by."""
 
 FEWEST = 4
 """Blocks between two steps, and between a step and either end."""
@@ -56,225 +49,184 @@ LEAST = np.repeat([2e-4, 8e-4], 3)
 """Least standard deviation of what is left over, share of full scale: that of a good fit of a real
 sensor (0.3 N and 0.03 Nm of an iCub's; method 7)."""
 
-MEMORY = 1.0
-"""Least time [s] that what is left over repeats itself for: a fit with a step too many hides it."""
-
 ROUNDS = 3
 """Rounds of fit and noise."""
 
-FINE, TAPS = 12, 101
-"""Times tried between two blocks, and samples of the filter's window."""
+FINE = 12
+"""Times tried between two blocks."""
+
+CLEAR = 0.01
+"""Share of a block in which a step must be told from all other unknowns."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Blocks:
-    """The samples averaged over short times, and the filter that they passed."""
+class Known:
+    """A part with all that some events explain taken away, in standard deviations of its noise."""
 
-    start: Float[Array, "B"]
-    """Time at which the block's first sample begins [s]."""
-    stop: Float[Array, "B"]
-    """Time at which its last sample ends [s]."""
-    weight: Float[Array, "B"]
-    """Root of its share of samples, about 1."""
-    y: Float[Array, "B P"]
-    z: Float[Array, "B 6"]
-    lag: Float[Array, "L"]
-    """Time since a step [s]."""
-    answer: Float[Array, "L"]
-    """Integral of the filter's answer to a step, at each lag [s]."""
-    memory: float
-    """Blocks that the filter, or the model's errors, make one."""
-
-    @staticmethod
-    def of(
-        time: Float[Array, "N"],
-        y: Float[Array, "N P"],
-        z: Float[Array, "N 6"],
-        smoothing: float,
-        order: int,
-    ) -> Blocks:
-        """Return the blocks of samples smoothed over some seconds; none reaches across a hole."""
-        period = float(np.median(np.diff(time))) if len(time) > 1 else BLOCK
-        length = max(BLOCK, len(time) * period / MOST_BLOCKS)
-        holes = np.flatnonzero(np.diff(time) > max(0.5 * smoothing, 1.5 * period)) + 1
-        first: list[int] = []
-        for a, b in itertools.pairwise([0, *holes.tolist(), len(time)]):
-            count = max(1, round((b - a) * period / length))
-            first += np.linspace(a, b, count, endpoint=False).astype(int).tolist()
-        counts = np.diff([*first, len(time)])
-        tick = smoothing / TAPS
-        answer = np.concatenate([[0.0], np.cumsum(coefficients(TAPS, order))])
-        return Blocks(
-            time[first] - 0.5 * period,
-            time[np.add(first, counts) - 1] + 0.5 * period,
-            np.sqrt(counts / counts.mean()),
-            np.add.reduceat(y, first, axis=0) / counts[:, None],
-            np.add.reduceat(z, first, axis=0) / counts[:, None],
-            tick * (np.arange(TAPS + 1) - 0.5 * TAPS),
-            tick * np.concatenate([[0.0], np.cumsum(0.5 * (answer[1:] + answer[:-1]))]),
-            max(MEMORY, smoothing, length) / length,
-        )
-
-    @property
-    def edges(self) -> Float[Array, "B-1"]:
-        """Times between two blocks; in a hole its middle [s]."""
-        return np.asarray(0.5 * (self.stop[:-1] + self.start[1:]))
-
-    def stepped(self, times: Float[Array, "M"]) -> Float[Array, "B M"]:
-        """Return what steps at these times leave in each block."""
-        a, b = (np.subtract.outer(edge, times) for edge in (self.start, self.stop))
-
-        def integral(t: Float[Array, "B M"]) -> Float[Array, "B M"]:
-            # beyond the window the answer is one
-            late = np.maximum(t - self.lag[-1], 0.0)
-            return np.asarray(np.interp(t, self.lag, self.answer) + late)
-
-        return np.asarray((integral(b) - integral(a)) / (b - a))
-
-    def decaying(self, times: Float[Array, "M"], tau: float) -> Float[Array, "B M"]:
-        """Return what parts that relax from these times on leave in each block."""
-        since = np.subtract.outer(0.5 * (self.start + self.stop), times)
-        return np.asarray(self.stepped(times) * np.exp(-np.maximum(since, 0.0) / tau))
-
-
-@dataclass(frozen=True, slots=True)
-class Event:
-    """A step; `tau` [s] where a part of it relaxes."""
-
-    time: float
-    tau: float | None = None
-
-    def columns(self, blocks: Blocks) -> Float[Array, "B M"]:
-        """Return the one or two columns of its sizes."""
-        at = np.array([self.time])
-        parts = [blocks.stepped(at)]
-        if self.tau is not None:
-            parts.append(blocks.decaying(at, self.tau))
-        return np.hstack(parts)
+    part: Part
+    basis: Float[Array, "R Q"]
+    """Orthonormal columns of what is known; the rows of the prior are left away."""
+    left: Float[Array, "R"]
+    """What the target has beyond them."""
+    white: Float[Array, "R"]
+    """One over the standard deviation of each row."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class StepFit:
-    """All sizes and E for some events, with the noise that they leave."""
+    """All sizes and other unknowns for some events, with the noise that they leave."""
 
-    blocks: Blocks
+    problem: Problem
     events: tuple[Event, ...]
-    power: Float[Array, "6"]
-    """Variance that counts against one block: `g s^2`."""
-    sd: Float[Array, "6"]
+    power: Float[Array, "G"]
+    """Variance that counts against one block of a group of rows: `g s^2`."""
+    sd: Float[Array, "G"]
     """s, of a block."""
-    repeat: Float[Array, "6"]
+    repeat: Float[Array, "G"]
     """g, blocks that count as one."""
 
     @staticmethod
-    def of(blocks: Blocks, events: Iterable[Event], sd: Float[Array, "6"]) -> StepFit:
+    def of(problem: Problem, events: Iterable[Event], sd: Float[Array, "G"]) -> StepFit:
         """Return the fit with its noise, starting from that of another."""
-        n = len(blocks.z)
-        fit = StepFit(blocks, tuple(sorted(events, key=lambda e: e.time)), sd**2, sd, np.ones(6))
+        sorted_events = tuple(sorted(events, key=lambda e: e.time))
+        fit = StepFit(problem, sorted_events, sd**2, sd, np.ones_like(sd))
         for _ in range(ROUNDS):
-            left = np.stack([fit.solved(axis)[1] for axis in range(6)], axis=1)
-            repeat = np.maximum(inefficiency([left]), blocks.memory)
-            independent = n / repeat
-            free = np.maximum(independent - fit.spent(), 0.25 * independent)
-            variance = (left**2).sum(axis=0) / n * independent / free
-            sd = np.sqrt(np.maximum(variance, LEAST**2))
+            repeat, variance = np.ones_like(sd), np.zeros_like(sd)
+            for part in problem.parts:
+                columns, left = fit.solved(part)[1:]
+                spent = (np.linalg.qr(fit.held(part, columns))[0][: len(columns)] ** 2).sum(axis=1)
+                for group in np.unique(part.group):
+                    mine = part.group == group
+                    count = int(mine.sum())
+                    repeats = inefficiency([left[mine, None]])[0]
+                    repeat[group] = max(float(repeats), problem.blocks.memory)
+                    independent = count / repeat[group]
+                    free = max(independent - float(spent[mine].sum()), 0.25 * independent)
+                    variance[group] = float((left[mine] ** 2).mean()) * independent / free
+            sd = np.sqrt(np.maximum(variance, problem.least**2))
             fit = replace(fit, power=repeat * sd**2, sd=sd, repeat=repeat)
         return fit
 
-    def design(self, events: Iterable[Event]) -> Float[Array, "B Q"]:
-        """Return y, offset, drift and the columns of some events, weighed."""
-        blocks = self.blocks
-        middle = 0.5 * (blocks.start + blocks.stop)
-        slow = 2.0 * (middle - middle[0]) / max(np.ptp(middle), BLOCK) - 1.0
-        parts = [blocks.y, legendre.legvander(slow, DRIFT)]
-        parts += [event.columns(blocks) for event in events]
-        return np.asarray(np.hstack(parts) * blocks.weight[:, None])
+    def held(self, part: Part, columns: Float[Array, "R Q"]) -> Float[Array, "R+P Q"]:
+        """Return columns in standard deviations of the noise, the rows of the prior below them."""
+        prior = np.zeros((int((part.prior > 0).sum()), columns.shape[1]))
+        prior[np.arange(len(prior)), np.flatnonzero(part.prior)] = part.prior[part.prior > 0]
+        return np.vstack([columns / np.sqrt(self.power[part.group])[:, None], prior])
 
-    def held(self, design: Float[Array, "B Q"], axis: int) -> Float[Array, "B+P Q"]:
-        """Return a design with the rows of the prior of E below it."""
-        width = self.blocks.y.shape[1]
-        prior = np.zeros((width, design.shape[1]))
-        np.fill_diagonal(prior, np.sqrt(self.power[axis]) / KAPPA)
-        return np.vstack([design, prior])
+    def solved(
+        self, part: Part
+    ) -> tuple[Float[Array, "Q"], Float[Array, "R Q"], Float[Array, "R"]]:
+        """Return the unknowns of one part, its columns and what they leave over."""
+        columns = self.problem.columns(part, self.events)
+        held = self.held(part, columns)
+        target = np.zeros(len(held))
+        target[: len(columns)] = part.target / np.sqrt(self.power[part.group])
+        found = np.linalg.lstsq(held, target, rcond=None)[0]
+        return found, columns, part.target - columns @ found
 
-    def target(self, axis: int) -> Float[Array, "B+P"]:
-        """Return z of an axis, weighed, and the zeros that the prior asks for."""
-        z = self.blocks.z[:, axis] * self.blocks.weight
-        return np.concatenate([z, np.zeros(self.blocks.y.shape[1])])
+    def known(self, events: Iterable[Event]) -> list[Known]:
+        """Return every part without what some events explain."""
+        events = tuple(events)
+        found = []
+        for part in self.problem.parts:
+            white = 1.0 / np.sqrt(self.power[part.group])
+            basis = np.linalg.qr(self.held(part, self.problem.columns(part, events)))[0]
+            basis = basis[: len(white)]
+            target = part.target * white
+            found.append(Known(part, basis, target - basis @ (basis.T @ target), white))
+        return found
 
-    def solved(self, axis: int) -> tuple[Float[Array, "Q"], Float[Array, "B"]]:
-        """Return the unknowns of one axis and what they leave over."""
-        design = self.design(self.events)
-        found = np.linalg.lstsq(self.held(design, axis), self.target(axis), rcond=None)[0]
-        return found, self.target(axis)[: len(design)] - design @ found
-
-    def spent(self) -> Float[Array, "6"]:
-        """Return how many unknowns of each axis the blocks decide, not the prior."""
-        design = self.design(self.events)
-        bases = [np.linalg.qr(self.held(design, axis))[0] for axis in range(6)]
-        return np.array([(basis[: len(design)] ** 2).sum() for basis in bases])
-
-    def cost(self, sizes: int) -> float:
-        """Return what an event with one or two sizes an axis must explain."""
-        n = len(self.blocks.z)
-        own = float(np.log(np.maximum(n / self.repeat, 2.0)).sum())
-        return sizes * own + (1 + sizes) * float(np.log(n))
+    def cost(self, sensor: int, sizes: int) -> float:
+        """Return what an event of a sensor with one or two times six sizes must explain."""
+        own = 0.0
+        for part in self.problem.parts:
+            lever = part.levers[sensor]
+            groups, counts = np.unique(part.group[lever.any(axis=1)], return_counts=True)
+            independent = np.log(np.maximum(counts / self.repeat[groups], 2.0))
+            own += lever.shape[1] * float(independent.mean()) if len(groups) else 0.0
+        places = len(self.problem.blocks.start) * self.problem.sensors
+        return sizes * own + (1 + sizes) * float(np.log(places))
 
     def gain(
-        self, others: Iterable[Event], times: Float[Array, "M"], tau: float | None
+        self,
+        known: Iterable[Known],
+        sensor: int,
+        times: Float[Array, "M"],
+        tau: float | None,
     ) -> Float[Array, "M"]:
         """Return what one more event at each of these times explains, less its cost."""
-        design = self.design(others)
-        weight = self.blocks.weight[:, None]
-        width = self.blocks.y.shape[1]
-        parts = [self.blocks.stepped(times)]
-        if tau is not None:
-            parts.append(self.blocks.decaying(times, tau))
-        columns = [np.vstack([part * weight, np.zeros((width, len(times)))]) for part in parts]
-        total = np.full(len(times), -self.cost(len(columns)))
-        for axis in range(6):
-            Q = np.linalg.qr(self.held(design, axis))[0]
-            left = self.target(axis)
-            left = left - Q @ (Q.T @ left)
-            fresh: list[Float[Array, "B+P M"]] = []
-            for column in columns:
-                rest = column - Q @ (Q.T @ column)
-                for known in fresh:
-                    rest = rest - known * (known * rest).sum(axis=0)
-                length = np.linalg.norm(rest, axis=0)
-                # what the others nearly say already cannot be told from them
-                clear = length > 0.1
-                rest = rest * np.divide(1.0, length, out=np.zeros_like(length), where=clear)
-                total += (left @ rest) ** 2 / self.power[axis]
-                fresh.append(rest)
+        shapes = self.problem.blocks.shapes(times, tau)
+        total = np.full(len(times), -self.cost(sensor, len(shapes)))
+        for one in known:
+            lever = one.part.levers[sensor] * one.white[:, None]
+            rows = np.flatnonzero(lever.any(axis=1))
+            block = one.part.block[rows]
+            # in units of what a step adds to a block, so that CLEAR is a share
+            lever = lever[rows] / usual(lever[rows], block)
+            # row, time, size
+            fresh = np.concatenate(
+                [shape[block][:, :, None] * lever[:, None] for shape in shapes], axis=2
+            )
+            flat = fresh.reshape(len(rows), -1)
+            along = (one.left[rows] @ flat).reshape(fresh.shape[1:])
+            seen = (one.basis[rows].T @ flat).reshape(-1, *fresh.shape[1:])
+            value, way = np.linalg.eigh(squared(fresh) - squared(seen))
+            along = np.einsum("mkj,mk->mj", way, along)
+            # what the others nearly say already cannot be told from them
+            clear = value > CLEAR
+            squares = np.divide(along**2, value, out=np.zeros_like(along), where=clear)
+            total += squares.sum(axis=1)
         return total
 
-    def best(self, others: Sequence[Event], times: Float[Array, "M"]) -> tuple[float, Event]:
-        """Return the event at one of these times that explains most, and how much."""
+    def best(
+        self, known: Sequence[Known], places: Iterable[tuple[int, Float[Array, "M"]]]
+    ) -> tuple[float, Event]:
+        """Return the event that explains most, and how much, of sensors and times to try.
+
+        Which sensor it is, lasting steps decide; what relaxes is tried of that one alone.
+        """
         tried = []
-        for tau in (None, *RELAXING):
-            gains = self.gain(others, times, tau)
-            at = int(np.argmax(gains))
-            tried.append((float(gains[at]), Event(float(times[at]), tau)))
+        where = {}
+        for sensor, times in places:
+            where[sensor] = times
+            tried.append(self._best_time(known, sensor, times, None))
+        sensor = max(tried, key=lambda pair: pair[0])[1].sensor
+        tried += [self._best_time(known, sensor, where[sensor], tau) for tau in RELAXING]
         return max(tried, key=lambda pair: pair[0])
+
+    def _best_time(
+        self, known: Sequence[Known], sensor: int, times: Float[Array, "M"], tau: float | None
+    ) -> tuple[float, Event]:
+        gains = self.gain(known, sensor, times, tau)
+        at = int(np.argmax(gains))
+        return float(gains[at]), Event(float(times[at]), tau, sensor)
 
     def sizes(self) -> tuple[Float[Array, "K 6"], Float[Array, "K 6"], Float[Array, "6 K K"]]:
         """Return what stays and what relaxes of each event, and the covariance of what stays."""
         count = len(self.events)
         owns = [1 if event.tau is None else 2 for event in self.events]
-        at = self.blocks.y.shape[1] + 1 + DRIFT + np.cumsum([0, *owns])[:count]
-        stays, relaxes = np.zeros((count, 6)), np.zeros((count, 6))
-        covariance = np.zeros((6, count, count))
-        design = self.design(self.events)
-        for axis in range(6):
-            unknowns = self.solved(axis)[0]
-            held = self.held(design, axis)
+        stays, relaxes, covariance = [], [], []
+        for part in self.problem.parts:
+            unknowns, columns, _ = self.solved(part)
+            held = self.held(part, columns)
             inverse = np.linalg.pinv(held.T @ held, hermitian=True)
-            covariance[axis] = self.power[axis] * inverse[np.ix_(at, at)]
-            stays[:, axis] = unknowns[at]
-            for k in np.flatnonzero(np.array(owns) == 2):
-                relaxes[k, axis] = unknowns[at[k] + 1]
-        return stays, relaxes, covariance
+            width = part.levers[0].shape[1]
+            at = part.rows.shape[1] + width * np.cumsum([0, *owns])[:count].astype(int)
+            place = at[:, None] + np.arange(width)
+            relaxing = np.array(owns)[:, None] == 2
+            after = np.minimum(place + width, len(unknowns) - 1)
+            stays.append(unknowns[place])
+            relaxes.append(np.where(relaxing, unknowns[after], 0.0))
+            covariance += [inverse[np.ix_(at + k, at + k)] for k in range(width)]
+        return np.hstack(stays), np.hstack(relaxes), np.stack(covariance)
+
+    def resolution(self, sensor: int) -> Float[Array, "6"]:
+        """Return the standard deviation with which one block alone says each size of a sensor."""
+        found = []
+        for part in self.problem.parts:
+            lever = part.levers[sensor] / self.sd[part.group][:, None]
+            found.append(1.0 / usual(lever, part.block))
+        return np.concatenate(found)
 
     def dated(self, k: int) -> tuple[float, float]:
         """Return mean and standard deviation of the time of an event, given all others.
@@ -284,34 +236,52 @@ class StepFit:
         event = self.events[k]
         others = self.events[:k] + self.events[k + 1 :]
         times = self.near(event.time, FEWEST)
-        gains = self.gain(others, times, event.tau)
+        gains = self.gain(self.known(others), event.sensor, times, event.tau)
         weight = np.exp(0.5 * (gains - gains.max())) * np.gradient(times)
         weight /= weight.sum()
         mean = float(weight @ times)
         between = np.diff(times, prepend=times[0]).max(initial=0.0, where=weight > 0.01)
         return mean, float(np.sqrt(weight @ (times - mean) ** 2 + between**2 / 12.0))
 
-    def vacant(self) -> Float[Array, "M"]:
-        """Return the times at which one more step may be: far enough from ends and steps."""
-        edges = self.blocks.edges
-        place = np.searchsorted(edges, [event.time for event in self.events])
-        number = np.arange(len(edges))
-        far = (number >= FEWEST - 1) & (number <= len(edges) - FEWEST)
-        for taken in place:
-            far &= np.abs(number - taken) >= FEWEST
-        return np.asarray(edges[far])
+    def rivals(self, k: int) -> Float[Array, "S"]:
+        """Return what each sensor's step at the time of an event would explain, less its cost."""
+        event = self.events[k]
+        known = self.known(self.events[:k] + self.events[k + 1 :])
+        times = self.near(event.time, 1.5)
+        return np.array(
+            [
+                max(float(self.gain(known, sensor, times, tau).max()) for tau in {None, event.tau})
+                for sensor in range(self.problem.sensors)
+            ]
+        )
+
+    def vacant(self) -> list[tuple[int, Float[Array, "M"]]]:
+        """Return sensors and times at which one more step may be: far from ends and its others."""
+        found = []
+        edges = self.problem.blocks.edges
+        for sensor in range(self.problem.sensors):
+            before = np.cumsum(self.problem.active(sensor))
+            number = before[:-1]
+            far = (number >= FEWEST) & (before[-1] - number >= FEWEST)
+            for event in self.events:
+                if event.sensor == sensor:
+                    taken = np.interp(event.time, edges, number)
+                    far &= np.abs(number - np.round(taken)) >= FEWEST
+            if far.any():
+                found.append((sensor, edges[far]))
+        return found
 
     def refined(self) -> StepFit:
         """Return the fit with each event moved to the best time near by."""
         events = list(self.events)
         for k, event in enumerate(events):
-            others = events[:k] + events[k + 1 :]
-            events[k] = self.best(others, self.near(event.time, 1.5))[1]
-        return StepFit.of(self.blocks, events, self.sd)
+            known = self.known(events[:k] + events[k + 1 :])
+            events[k] = self.best(known, [(event.sensor, self.near(event.time, 1.5))])[1]
+        return StepFit.of(self.problem, events, self.sd)
 
     def near(self, time: float, reach: float) -> Float[Array, "M"]:
         """Return times within so many blocks, finer than blocks; a hole is one more block."""
-        edges = self.blocks.edges
+        edges = self.problem.blocks.edges
         at = float(np.interp(time, edges, np.arange(len(edges))))
         places = np.arange(-reach, reach + 1e-9, 1.0 / FINE) + at
         inside = (places >= 0) & (places <= len(edges) - 1)
@@ -322,23 +292,36 @@ class StepFit:
         fit = self
         while fit.events:
             gains = [
-                float(fit.gain([o for o in fit.events if o is not e], np.array([e.time]), e.tau)[0])
+                float(fit.gain(fit.known(o for o in fit.events if o is not e), e.sensor,
+                               np.array([e.time]), e.tau)[0])
                 for e in fit.events
-            ]
+            ]  # fmt: skip
             worst = int(np.argmin(gains))
             if gains[worst] > 0.0:
                 break
-            fit = StepFit.of(fit.blocks, fit.events[:worst] + fit.events[worst + 1 :], fit.sd)
+            fit = StepFit.of(fit.problem, fit.events[:worst] + fit.events[worst + 1 :], fit.sd)
         return fit
 
 
-def search(blocks: Blocks) -> StepFit:
+def usual(lever: Float[Array, "R M"], block: Int[Array, "R"]) -> Float[Array, "M"]:
+    """Return the root mean square of what each size adds to a block, over all its rows."""
+    blocks = max(len(np.unique(block[lever.any(axis=1)])), 1)
+    return np.asarray(np.sqrt(np.maximum((lever**2).sum(axis=0) / blocks, np.finfo(float).tiny)))
+
+
+def squared(table: Float[Array, "R M K"]) -> Float[Array, "M K K"]:
+    """Return the products of the columns at every time."""
+    at_times = table.transpose(1, 2, 0)
+    return np.asarray(at_times @ at_times.transpose(0, 2, 1))
+
+
+def search(problem: Problem) -> StepFit:
     """Return the fit with all events that earn their cost."""
-    found = tried = StepFit.of(blocks, (), 10.0 * LEAST)
+    found = tried = StepFit.of(problem, (), 10.0 * problem.least)
     failed = 0
-    while failed <= AHEAD and len(tried.events) < MOST and len(tried.vacant()):
-        event = tried.best(tried.events, tried.vacant())[1]
-        tried = StepFit.of(blocks, (*tried.events, event), tried.sd).refined()
+    while failed <= AHEAD and len(tried.events) < MOST and (vacant := tried.vacant()):
+        event = tried.best(tried.known(tried.events), vacant)[1]
+        tried = StepFit.of(problem, (*tried.events, event), tried.sd).refined()
         kept = tried.pruned()
         if len(kept.events) > len(found.events):
             found = tried = kept

@@ -22,7 +22,10 @@ from ftcal.pairing import FtChannel, SignalOptions, matched_channels, pair
 from ftcal.recording import Finding, Recording
 from ftcal.ridge import scaling_map
 from ftcal.robot import Robot
-from ftcal.step_search import Blocks, search
+from ftcal.samples import Samples
+from ftcal.step_blocks import Blocks, Part, Problem
+from ftcal.step_search import KAPPA, LEAST, StepFit, search
+from ftcal.touches import Span, touched
 
 if TYPE_CHECKING:
     from jaxtyping import Float
@@ -48,6 +51,26 @@ class Step:
     the time, and until what relaxes is lost in the noise. To be left out of training."""
     message: str
     """One line for a person."""
+
+
+@dataclass(frozen=True, slots=True)
+class Touch:
+    """A moment that leaves the offset as it was: something touched what was said to be free."""
+
+    start: float
+    """Seconds since the start of the recording."""
+    stop: float
+    """Seconds since the start of the recording, exclusive."""
+    message: str
+    """One line for a person."""
+
+
+@dataclass(frozen=True, slots=True)
+class Unrest:
+    """What disturbed the readings of one sensor."""
+
+    steps: tuple[Step, ...] = ()
+    touches: tuple[Touch, ...] = ()
 
 
 def all_steps(
@@ -80,45 +103,124 @@ def offset_steps(
     schedule: ContactSchedule,
     *,
     gravity: tuple[float, float, float],
+    imu: str | None = None,
     findings: Iterable[Finding] = (),
     options: SignalOptions | None = None,
 ) -> tuple[Step, ...]:
-    """Return the steps of a sensor's offset while its limb is free; arguments, errors as of `pair`.
+    """Return the steps of a sensor's offset while its limb is free; see `unrest`."""
+    return unrest(
+        recording,
+        robot,
+        channel,
+        schedule,
+        gravity=gravity,
+        imu=imu,
+        findings=findings,
+        options=options,
+    ).steps
+
+
+def unrest(
+    recording: Recording,
+    robot: Robot,
+    channel: FtChannel,
+    schedule: ContactSchedule,
+    *,
+    gravity: tuple[float, float, float],
+    imu: str | None = None,
+    findings: Iterable[Finding] = (),
+    options: SignalOptions | None = None,
+) -> Unrest:
+    """Return what disturbed a sensor while its limb is free; arguments, errors as of `pair`."""
+    options = options or SignalOptions()
+    samples = pair(
+        recording,
+        robot,
+        channel,
+        schedule,
+        gravity=gravity,
+        imu=imu,
+        findings=findings,
+        options=options,
+    ).samples
+    return unrest_of(samples, channel, options)
+
+
+def unrest_of(samples: Samples, channel: FtChannel, options: SignalOptions) -> Unrest:
+    """Return what disturbed a sensor during some samples, holes or not.
 
     Steps nearer than 2 s of samples to another or to either end are not looked for; 4 blocks of
     `step_search` in logs of more than five minutes.
     """
-    options = options or SignalOptions()
-    samples = pair(
-        recording, robot, channel, schedule, gravity=gravity, findings=findings, options=options
-    ).samples
     rows = samples.rows()
     inputs = rows.shape[1] - 6
     scaled = rows @ scaling_map(channel.workbench, inputs).T
-    blocks = Blocks.of(
-        samples.time,
-        scaled[:, :inputs],
-        scaled[:, inputs:],
-        options.smoothing,
-        options.smoothing_order,
+    blocks = Blocks.of(samples.time, options.smoothing, options.smoothing_order)
+    problem = one_sensor(blocks, samples.time, scaled[:, :inputs], scaled[:, inputs:])
+    fit, touches = search_untouched(problem)
+    found = unrest_in(fit, 0, channel, options.smoothing)
+    where = f"{channel.signal}: touched? its free limb"
+    more = touch_messages(where, touches.get("", ()))
+    return Unrest(found.steps, (*found.touches, *more))
+
+
+def search_untouched(problem: Problem) -> tuple[StepFit, dict[str, tuple[Span, ...]]]:
+    """Return the fit of all steps without the moments of touching, and those by their owner."""
+    fit = search(problem)
+    touches = touched(fit)
+    for owner, spans in touches.items():
+        problem = problem.without(owner, spans)
+    return (search(problem) if touches else fit), touches
+
+
+def touch_messages(where: str, spans: Iterable[Span]) -> tuple[Touch, ...]:
+    """Return touches of `where` with their lines."""
+    return tuple(
+        Touch(a, b, f"{where} departs from its balance at {a:.1f}-{b:.1f} s only") for a, b in spans
     )
-    return _steps(blocks, channel, options.smoothing)
 
 
-def _steps(blocks: Blocks, channel: FtChannel, smoothing: float) -> tuple[Step, ...]:
-    """Return the steps in blocks of `z = E y + offset`, in words of the sensor."""
-    fit = search(blocks)
+def one_sensor(
+    blocks: Blocks,
+    time: Float[Array, "N"],
+    y: Float[Array, "N P"],
+    z: Float[Array, "N 6"],
+) -> Problem:
+    """Return the search for steps in `z = E y + offset`, in fractions of full scale."""
+    width = y.shape[1]
+    block, weight, means = blocks.means(time, np.hstack([y, z]))
+    weighed = means * weight[:, None]
+    drift = blocks.drift()[block] * weight[:, None]
+    rows = np.hstack([weighed[:, :width], drift])
+    prior = np.concatenate([np.full(width, 1.0 / KAPPA), np.zeros(drift.shape[1])])
+    lever = (weight[:, None],)
+    parts = (
+        Part(block, np.full(len(block), axis), rows, weighed[:, width + axis], prior, lever)
+        for axis in range(6)
+    )
+    return Problem(blocks, tuple(parts), LEAST, ("",) * 6)
+
+
+def unrest_in(fit: StepFit, sensor: int, channel: FtChannel, smoothing: float) -> Unrest:
+    """Return what a search found of one of its sensors, in words of the sensor.
+
+    What follows before the last has come to rest is the same disturbance; one of which too little
+    stays to earn the cost of a step is a touch.
+    """
     scale = channel.workbench.full_scale
     half = 0.5 * smoothing
-    dates = [fit.dated(k) for k in range(len(fit.events))]
     stays, relaxes, covariance = fit.sizes()
-    # what follows before the last has come to rest is the same disturbance
+    resolution = fit.resolution(sensor)
     groups: list[list[int]] = []
+    dates: dict[int, tuple[float, float]] = {}
     ends: list[float] = []
-    for k, (event, (when, sd)) in enumerate(zip(fit.events, dates, strict=True)):
+    for k, event in enumerate(fit.events):
+        if event.sensor != sensor:
+            continue
+        when, sd = dates[k] = fit.dated(k)
         rest = when + 2.0 * sd + half
         if event.tau is not None:
-            above = float(np.max(np.abs(relaxes[k]) / fit.sd))
+            above = float(np.max(np.abs(relaxes[k]) / resolution))
             rest = max(rest, when + event.tau * float(np.log(max(above, 1.0))))
         if groups and when - 2.0 * sd - half < ends[-1]:
             groups[-1].append(k)
@@ -126,18 +228,27 @@ def _steps(blocks: Blocks, channel: FtChannel, smoothing: float) -> tuple[Step, 
         else:
             groups.append([k])
             ends.append(rest)
-    found = []
+    steps: list[Step] = []
+    touches: list[Touch] = []
     for group, end in zip(groups, ends, strict=True):
         first, sd = dates[group[0]]
         main = max(group, key=lambda k: float(np.linalg.norm(stays[k] + relaxes[k])))
-        size = -scale * stays[group].sum(axis=0)
-        size_sd = scale * np.sqrt(covariance[:, group][:, :, group].sum(axis=(1, 2)))
+        stay = stays[group].sum(axis=0)
+        stay_sd = np.sqrt(covariance[:, group][:, :, group].sum(axis=(1, 2)))
         unsettled = (first - 2.0 * sd - half, end)
         when, sd = dates[main]
-        force, torque = (float(np.linalg.norm(part)) for part in np.split(size, 2))
+        if np.sum((stay / stay_sd) ** 2) < fit.cost(sensor, 1):
+            message = (
+                f"{channel.signal}: touched? its offset leaves and comes back within"
+                f" {unsettled[0]:.1f}-{unsettled[1]:.1f} s"
+            )
+            touches.append(Touch(*unsettled, message))
+            continue
+        force, torque = (float(np.linalg.norm(part)) for part in np.split(scale * stay, 2))
         message = (
             f"{channel.signal}: offset steps at {when:.2f} s (sd {sd:.2g} s) by {force:.3g} N and"
             f" {torque:.2g} Nm; unsettled {unsettled[0]:.1f}-{unsettled[1]:.1f} s"
         )
-        found.append(Step(when, sd, size, size_sd, -scale * relaxes[main], unsettled, message))
-    return tuple(found)
+        relaxing = -scale * relaxes[main]
+        steps.append(Step(when, sd, -scale * stay, scale * stay_sd, relaxing, unsettled, message))
+    return Unrest(tuple(steps), tuple(touches))

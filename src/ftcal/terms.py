@@ -40,6 +40,9 @@ MODEL = 4
 CELL = 1.0
 """Length [s] of the cells whose sums of residuals tell how long they remember."""
 
+MOST_CELLS = 300
+"""Cells of a stretch, longer in long ones: means of more than a memory tell it as well."""
+
 
 @dataclass(frozen=True, slots=True, order=True)
 class Segment:
@@ -174,7 +177,7 @@ def _sum(
     width = sum(frames[name].unknowns + 6 for name in sensors) + MODEL + len(suspected) + 1
     equations = balance.equations
     span = balance.time[-1] - balance.time[0]
-    cells = max(1, round(float(span) / CELL))
+    cells = min(max(1, round(float(span) / CELL)), MOST_CELLS)
     index = np.minimum(
         ((balance.time - balance.time[0]) / max(span, 1e-9) * cells).astype(int), cells - 1
     )

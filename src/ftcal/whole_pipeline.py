@@ -11,23 +11,30 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ftcal.all_sensors import SensorResult, WholeBody, both, calibrate_all
+from ftcal.all_sensors import SensorResult, WholeBody, both
 from ftcal.calibration import Calibration, Centre, ChosenBy, Offset, SensorCalibration
 from ftcal.config import Job
+from ftcal.contact import ContactSchedule
 from ftcal.diagnosis import Diagnosis, diagnose
 from ftcal.errors import DataError, RobotError
 from ftcal.evidence import provenance, sensor_record
+from ftcal.model_errors import Tried, calibrate_suspecting
 from ftcal.noise import Noise
 from ftcal.pairing import FtChannel
-from ftcal.pipeline import ft_channel, read_recordings
+from ftcal.pipeline import ft_channel
 from ftcal.progress import Progress, Steps, silent
 from ftcal.recording import Finding, Recording
 from ftcal.robot import Robot
+from ftcal.segmentation import segmented
+from ftcal.takes import Takes
 from ftcal.urdf import read_robot
 from ftcal.weighing import Weighing, weighed
 
 WORST_BEND = 0.1
 """Entry of E (fraction of full scale) beyond which logs are looked into: mountings bend by 0.03."""
+
+LOOKED_INTO = 120.0
+"""Seconds of every interval that are searched."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -37,11 +44,14 @@ class WholeOutcome:
     job: Job
     robot: Robot
     recordings: tuple[Recording, ...]
+    """Their outlines."""
     findings: tuple[tuple[str, Finding], ...]
     """Recording and finding, in order."""
     fit: WholeBody
     weighings: tuple[Weighing, ...]
     calibration: Calibration
+    tried: tuple[Tried, ...] = ()
+    """What became of every suspected error of the model; empty where the job suspects nothing."""
 
     @property
     def improved(self) -> bool:
@@ -57,19 +67,21 @@ def calibrate_whole_body(job: Job, *, progress: Progress = silent) -> WholeOutco
     robot = read_robot(job.path(job.robot))
     channels = [ft_channel(job, robot, section) for section in job.sensors]
     steps = Steps(progress, 2 * len(job.recordings) + 3)
-    recordings, findings = read_recordings(job, robot, channels, steps)
-    fit = calibrate_all(job, robot, channels, recordings, findings, steps)
+    recordings = Takes.read(job, robot, channels, steps)
+    job, recordings = segmented(job, robot, channels, recordings, steps)
+    findings = recordings.findings
+    fit, tried = calibrate_suspecting(job, robot, channels, recordings, findings, steps)
     if job.whole_body.diagnose and suspicious(fit):
         refuse_misread(job, robot, channels, recordings, findings)
     steps.begin("writing")
-    flat = tuple((r.name, f) for r, found in zip(recordings, findings, strict=True) for f in found)
+    flat = recordings.flat
     calibration = Calibration(
         robot=robot.name,
         sensors=[result_record(job, fit, sensor, flat) for sensor in fit.sensors],
-        provenance=provenance(job, robot, [recording.digest for recording in recordings]),
+        provenance=provenance(job, robot, [recording.digest for recording in recordings.outlines]),
     )
     weighings = tuple(weighings_of(job, robot, channels, fit))
-    return WholeOutcome(job, robot, tuple(recordings), flat, fit, weighings, calibration)
+    return WholeOutcome(job, robot, recordings.outlines, flat, fit, weighings, calibration, tried)
 
 
 def suspicious(fit: WholeBody) -> bool:
@@ -107,7 +119,7 @@ def refuse_misread(
             told = diagnose(
                 replace(recording, channels=wrenches),
                 robot,
-                section.schedule(),
+                beginnings(section.schedule()),
                 signals={channel.sensor: channel.signal for channel in channels},
                 gravity=section.gravity,
                 findings=found,
@@ -117,6 +129,16 @@ def refuse_misread(
                 f"recording {recording.name!r}: {told.sentence}; if it is right all the same, say"
                 " diagnose = false in [whole_body]"
             )
+
+
+def beginnings(schedule: ContactSchedule) -> ContactSchedule:
+    """Return a schedule of the first two minutes of every interval: a wrong frame shows early."""
+    return ContactSchedule(
+        tuple(
+            replace(i, stop=min(i.stop, max(i.start, 0.0) + LOOKED_INTO))
+            for i in schedule.intervals
+        )
+    )
 
 
 def weighings_of(

@@ -6,16 +6,18 @@ nothing touches, and what it weighs on its own sensors.
 
 from __future__ import annotations
 
+import numpy as np
 from rich.console import Console
 from rich.padding import Padding
 from rich.table import Table
 from rich.text import Text
 
 from ftcal.all_sensors import SensorResult
-from ftcal.report.whole_metrics import means, on_the_prior, undetermined
+from ftcal.report.whole_metrics import means, move_words, on_the_prior, undetermined
 from ftcal.report.words import percent
 from ftcal.sensor import AXES
 from ftcal.terminal import STYLES, reasons, score_table, table
+from ftcal.terms import MODEL
 from ftcal.verdict import advice, overall
 from ftcal.whole_pipeline import WholeOutcome
 
@@ -33,6 +35,12 @@ def print_whole(console: Console, outcome: WholeOutcome) -> None:
         described = f"the description says {outcome.robot.mass:.2f} kg"
         console.print(Text.assemble(("Mass on its own sensors", "bold"), f", {described}"))
         console.print(mass_table(outcome))
+    if outcome.tried:
+        told = ": nats of evidence, change of what unseen stretches leave"
+        console.print(Text.assemble(("Errors of the model that were tried", "bold"), told))
+        console.print(tried_table(outcome))
+        if unseen := [one.words for one in outcome.tried if not one.seen]:
+            console.print(Text(f"the data say nothing of: {', '.join(unseen)}"))
     posterior, choice = outcome.fit.posterior, outcome.fit.choice
     down = outcome.fit.down_weighted
     less = f", {percent(down)} of their seconds count less" if down else ""
@@ -104,4 +112,24 @@ def mass_table(outcome: WholeOutcome) -> Table:
             f"{one.workbench:.2f} kg",
             f"{one.whole_body:.2f} kg",
         )
+    return made
+
+
+def tried_table(outcome: WholeOutcome) -> Table:
+    """Return what became of every suspected error of the model that the data see, a row each."""
+    made = table("suspected", "found", "nats", "unseen", "believed", "moves most", right=(1, 2, 3))
+    made.columns[1].no_wrap = made.columns[5].no_wrap = True
+    said = {"believed": "yes", "no evidence": "no", "always": "always"}
+    for one in outcome.tried:
+        if one.seen:
+            # more are those of suspects that have rows of their own
+            own = [f"all {len(one.numbers)}"] if len(one.numbers) > MODEL else one.numbers
+            made.add_row(
+                Text(one.words + "".join(f", or {words}" for words in one.rivals)),
+                "\n".join(map(str, own)),
+                f"{one.gain:+.1f}",
+                "-" if np.isnan(one.held_out) else f"{100 * one.held_out:+.1f} %",
+                said[one.word],
+                Text(f"{one.moves[0].percent:.2g} % {move_words(one.moves[0], outcome.fit)}"),
+            )
     return made

@@ -3,7 +3,9 @@
 | looks like | is read by |
 |---|---|
 | a folder with `data.log` or `info.log` in it or below, or a `data.log` itself | `yarp` |
-| `.csv`, `.tsv`, `.parquet`, or a folder of them | `tables` |
+| `.csv`, `.tsv`, `.parquet`, `.npz`, or a folder of them | `tables` |
+| `.mat` | `robot_logger` |
+| `.bag`, `.mcap`, `.db3`, or a folder of them, with `metadata.yaml` or without | `ros` |
 """
 
 from __future__ import annotations
@@ -15,9 +17,10 @@ from ftcal.errors import LogError
 from ftcal.logs.layout import PLAIN, Layout
 
 if TYPE_CHECKING:
+    from ftcal.logs.pieces import Pieces
     from ftcal.recording import Recording
 
-__all__ = ["Layout", "read"]
+__all__ = ["Layout", "in_pieces", "read"]
 
 
 def read(path: Path, layout: Layout = PLAIN, *, name: str | None = None) -> Recording:
@@ -25,10 +28,41 @@ def read(path: Path, layout: Layout = PLAIN, *, name: str | None = None) -> Reco
 
     Raises `LogError` where `path` holds no log, or one that cannot be believed.
     """
-    from ftcal.logs import tables, yarp
+    from ftcal.logs import units
+
+    return units.in_si(_as_logged(Path(path), layout, name), layout)
+
+
+def in_pieces(path: Path, layout: Layout = PLAIN, *, name: str | None = None) -> Pieces:
+    """Return the log at `path`, opened to be read a span of time at a time in constant memory.
+
+    CSV and Parquet are; any other format comes as one piece. The pieces put together are what
+    `read` returns. Raises `LogError` as `read` does; what only the numbers show, on the way.
+    """
+    from ftcal.logs import ros, tables, yarp
+    from ftcal.logs.pieces import WholeLog
+    from ftcal.logs.tables_pieces import tables_pieces
 
     path = Path(path)
     try:
+        if path.is_dir():
+            other = yarp.holds(path) or ros.holds(path)
+            streams = not other and bool(tables.files(path))
+        else:
+            streams = path.is_file() and path.suffix.lower() in tables.SUFFIXES
+        opened = tables_pieces(path, layout, name=name) if streams else None
+    except OSError as error:
+        raise LogError(f"{path}: {error.strerror or error}") from error
+    return opened or WholeLog(read(path, layout, name=name))
+
+
+def _as_logged(path: Path, layout: Layout, name: str | None) -> Recording:
+    """Return the recording at `path` in the units that its format has or declares."""
+    from ftcal.logs import robot_logger, ros, tables, yarp
+
+    try:
+        if ros.holds(path) and not (path.is_dir() and yarp.holds(path)):
+            return ros.read(path, layout, name=name)
         if path.is_dir():
             if yarp.holds(path):
                 return yarp.read(path, layout, name=name)
@@ -38,8 +72,10 @@ def read(path: Path, layout: Layout = PLAIN, *, name: str | None = None) -> Reco
             return yarp.read(path.parent, layout, name=name)
         elif path.suffix.lower() in tables.SUFFIXES:
             return tables.read(path, layout, name=name)
+        elif path.suffix.lower() == robot_logger.SUFFIX and path.is_file():
+            return robot_logger.read(path, layout, name=name)
         elif path.exists():
-            known = ", ".join(sorted(tables.SUFFIXES))
+            known = ", ".join(sorted({*tables.SUFFIXES, robot_logger.SUFFIX, *ros.SUFFIXES}))
             raise LogError(f"{path}: no reader for {path.suffix!r}; give {known} or a YARP folder")
     except OSError as error:
         raise LogError(f"{path}: {error.strerror or error}") from error

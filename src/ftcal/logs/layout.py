@@ -13,6 +13,8 @@ from typing import Literal
 
 Angle = Literal["deg", "rad"]
 TimeUnit = Literal["s", "ms", "us", "ns"]
+Acceleration = Literal["m/s^2", "g"]
+AngularVelocity = Literal["rad/s", "deg/s"]
 
 WRENCH_AXES = ("fx", "fy", "fz", "tx", "ty", "tz")
 """Channels of a six-axis sensor in logged order, force first."""
@@ -39,7 +41,10 @@ class Layout:
     """YARP: port (`torso/state:o`) → URDF joint of each logged column, in logged order; columns
     beyond the last name, and those named "", are left out. Default: `ICUB_JOINTS` by the part's
     name; columns of an unknown part are called `<part>_0`, `<part>_1`, ….
-    Tables: column → `(joint,)` renames it, column → `()` leaves it out."""
+    Tables: column → `(joint,)` renames it, column → `()` leaves it out.
+    ROS: topic → URDF joint of each position, in the order of its first message; "" and what lies
+    beyond the last name are left out, `()` leaves out the topic. Default: the message's names.
+    robot-logger: leaf → URDF joint of each column, "" to leave out. Default: `elements_names`."""
 
     angle: Angle | None = None
     """Unit of the logged joint positions; None: the format's own (YARP deg, tables rad)."""
@@ -48,7 +53,7 @@ class Layout:
     """Tables: the column of time stamps."""
 
     time_unit: TimeUnit | None = None
-    """Tables: unit of the time column. None: fractional numbers are seconds; integers are taken
+    """Unit of the stamps (not YARP, ROS). None: fractional numbers are seconds; integers are taken
     for Unix time of the years 2000 to 2100 in whichever unit makes them so, others are refused;
     a column of date-and-time type needs no unit."""
 
@@ -56,14 +61,24 @@ class Layout:
     """Tables: F/T signal → its columns. Whatever is left over and reads `<prefix>fx` … `fz` with
     `tx` … `tz` (or `mx` … `mz`; separator `.`, `_`, `/` or none) becomes the signal `<prefix>`;
     with no prefix it is called like its file.
-    YARP: port → names of its columns; makes any numeric port an F/T signal."""
+    YARP: port → names of its columns; makes any numeric port an F/T signal.
+    ROS: topic → names of its columns; makes an array or a JointState an F/T signal.
+    robot-logger: F/T signal → the leaves whose columns it joins. `.npz`: an array's name stands for
+    all its columns."""
 
     temperatures: Mapping[str, str] = field(default_factory=dict)
-    """Temperature signal → its column (tables) or its port of one column (YARP)."""
+    """Temperature signal → its column (tables), port of one column (YARP), topic (ROS) or
+    leaf (robot-logger)."""
 
     imus: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     """Base motion or inertial unit → its columns (tables), or port → names of its columns (YARP);
-    read as logged, no unit is converted."""
+    read as logged but for the units below. robot-logger: imu → its accelerometer and its gyro."""
+
+    acceleration: Acceleration | None = None
+    """Unit of the accelerations among the imus; None: m/s^2, or what the log itself declares."""
+
+    angular_velocity: AngularVelocity | None = None
+    """Unit of the angular velocities among the imus; None: as logged, or as the log declares."""
 
     zero: str | None = None
     """Signal whose first sample is second 0 of the recording; None: the earliest of all."""

@@ -1,4 +1,4 @@
-"""CSV and Parquet: a table with named columns and one of time, or a folder of such tables.
+"""CSV, Parquet, `.npz`: a table with named columns and one of time, or a folder of such tables.
 
 Every table has its own clock. Columns are claimed in this order: time; what the layout names; the
 groups `<prefix>fx … tz` of an F/T sensor. All numbers left over are joints, in one signal called
@@ -22,6 +22,7 @@ from pyarrow import parquet
 
 from ftcal.errors import LogError, unknown
 from ftcal.logs import columns
+from ftcal.logs.arrays import load_npz
 from ftcal.logs.columns import Streams
 from ftcal.logs.layout import Layout
 from ftcal.logs.tables_csv import load_csv
@@ -31,7 +32,7 @@ from ftcal.recording import Recording, Signal
 
 __all__ = ["SUFFIXES", "files", "read", "write"]
 
-SUFFIXES = frozenset({".csv", ".tsv", ".parquet"})
+SUFFIXES = frozenset({".csv", ".tsv", ".parquet", ".npz"})
 """File names that are read as tables."""
 
 _AXIS = re.compile(r"^(?P<prefix>.*?)(?P<separator>[._/]?)(?P<axis>[ftm][xyz])$", re.IGNORECASE)
@@ -83,6 +84,8 @@ def _load(file: Path, layout: Layout) -> _Table:
             digest = beside.submit(columns.file_sha256, file)
             if file.suffix.lower() == ".parquet":
                 table, first_row = parquet.read_table(str(file), partitioning=None), 1
+            elif file.suffix.lower() == ".npz":
+                table, first_row = load_npz(file, layout), 1
             else:
                 table, first_row = load_csv(file, layout), 2
     except (pa.ArrowException, OSError, ValueError) as error:
@@ -115,7 +118,8 @@ def _claims(path: Path, tables: list[_Table], layout: Layout) -> dict[Path, _Cla
     known = [column for table in tables for column in table.columns]
     said: dict[Path, list[dict[str, tuple[str, ...]]]] = {t.file: [{}, {}, {}] for t in tables}
     for role, signals in enumerate((layout.channels, temperatures, layout.imus)):
-        for signal, names in signals.items():
+        for signal, said_names in signals.items():
+            names = [column for name in said_names for column in _columns_called(name, known)]
             if absent := [name for name in names if name not in known]:
                 raise LogError(f"{path}: {unknown('column', absent[0], known)}, as {signal!r} asks")
             homes = [table for table in tables if all(name in table.columns for name in names)]
@@ -126,6 +130,12 @@ def _claims(path: Path, tables: list[_Table], layout: Layout) -> dict[Path, _Cla
     if absent := [name for name in layout.joints if name not in known]:
         raise LogError(f"{path}: {unknown('column', absent[0], known)} to name as a joint")
     return {table.file: _claims_of(table, layout, *said[table.file]) for table in tables}
+
+
+def _columns_called(name: str, known: list[str]) -> list[str]:
+    """Return the column `name`, or else the columns `name.…` of an array so called."""
+    whole = [] if name in known else [c for c in known if c.startswith(f"{name}.")]
+    return whole or [name]
 
 
 def _claims_of(

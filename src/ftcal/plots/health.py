@@ -34,6 +34,9 @@ KINDS: dict[str, tuple[str, str]] = {
     "empty": (GREY, "x"),
     "off lattice": (ORANGE, "-"),
     "serial": (GREEN, ""),
+    "unit": (VERMILLION, "-"),
+    "offset step": (PURPLE, "\\"),
+    "touch": (GREEN, "."),
 }
 """Colour and hatch of each kind of finding."""
 

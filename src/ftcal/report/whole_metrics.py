@@ -13,6 +13,7 @@ import numpy as np
 
 from ftcal.all_sensors import LEAST_SHARE, Residual, SensorResult, WholeBody, loose_scales
 from ftcal.balances import Leftover
+from ftcal.model_errors import Move, Tried
 from ftcal.plots import Node
 from ftcal.report.scorecard import by_axis, finite, scores_metrics
 from ftcal.report.truth import Truth, check_shape, departure
@@ -36,6 +37,9 @@ UNITS = {
     "kappa": "fraction of full scale",
     "share": "of the entry, the rest is the prior's",
     "noise": "N and Nm",
+    "log_evidence": "nats gained by an error of the model",
+    "held_out": "change of the RMS residual of stretches left out, as a share (in model_errors)",
+    "moves": "of full scale, by one standard deviation of the prior",
 }
 """What the numbers of the file are counted in, by key."""
 
@@ -108,6 +112,7 @@ def whole_metrics(
         "residuals": [residual_metrics(one, touching(outcome, one)) for one in fit.residuals],
         "weighings": [weighing_metrics(one) for one in outcome.weighings],
         "inertia": {one.sub_model: inertia_metrics(one) for one in inertias(outcome)},
+        "model_errors": {one.words: tried_metrics(one, fit) for one in outcome.tried},
         "sensors": {s.sensor.name: sensor_metrics(s, fit, truth or {}) for s in fit.sensors},
     }
     made: dict[str, Any] = finite(plain)
@@ -197,6 +202,14 @@ def inertias(outcome: WholeOutcome) -> list[Inertia]:
             )
         )
     return found
+
+
+def move_words(move: Move, fit: WholeBody) -> str:
+    """Return sensor, row and column of the entry that moves most with an error of the model."""
+    frame = fit.frames[move.sensor]
+    known = np.zeros((len(AXES), len(frame.basis)))
+    along = directions(known, frame.workbench.gain.shape[1])[move.column]
+    return f"{move.sensor} {AXES[move.row]} {along}"
 
 
 def directions(share: Float[Array, "6 P"], channels: int) -> list[str]:
@@ -314,6 +327,29 @@ def weighing_metrics(one: Weighing) -> dict[str, Any]:
         "model": one.model,
         "workbench": one.workbench,
         "whole_body": one.whole_body,
+    }
+
+
+def tried_metrics(one: Tried, fit: WholeBody) -> dict[str, Any]:
+    """Return what became of one suspected error of the model."""
+    return {
+        "verdict": one.word,
+        "numbers": {
+            number.error.name: {
+                "value": number.value,
+                "sd": number.sd,
+                "prior_sd": number.error.sd,
+                "unit": number.error.unit,
+            }
+            for number in one.numbers
+        },
+        "log_evidence": one.gain,
+        "held_out": one.held_out,
+        "moves": {
+            move.sensor: {"entry": move_words(move, fit), "percent": move.percent}
+            for move in one.moves
+        },
+        "rivals": list(one.rivals),
     }
 
 

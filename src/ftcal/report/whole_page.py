@@ -18,6 +18,7 @@ from ftcal.report.whole_metrics import (
     directions,
     inertias,
     means,
+    move_words,
     nodes,
     on_the_prior,
     touching,
@@ -81,6 +82,9 @@ def robot_section(outcome: WholeOutcome, album: Album) -> Table:
         "mass": outcome.robot.mass,
         "noise": [(*group, known) for group, known in posterior.noise.items()],
         "inertias": inertias(outcome),
+        "tried": [
+            (one, move_words(one.moves[0], fit), one.moves[0].percent) for one in outcome.tried
+        ],
         "believed": outcome.job.whole_body,
         "samples": fit.samples,
         "less": fit.down_weighted,

@@ -1,0 +1,190 @@
+"""A calibration applied: in a control loop, to channels in memory, and to a log on disk.
+
+    python benchmarks/applying.py --samples 3000000 --rounds 5 [--scaling 100000 1000000 3000000]
+
+The map of channels is measured against BLAS, whose result depends on where a row stands; the
+command against what an engineer writes with pyarrow and NumPy for a log that fits into memory. Both
+take turns within a round; figures are medians over the rounds. Each command is a process of its
+own, and its peak memory is what the system says of it. To a process the system counts what its
+parent held when it was started, so logs are made in processes of their own, too.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import subprocess
+import sys
+import tempfile
+import time
+import timeit
+from collections.abc import Callable, Sequence
+from functools import partial
+from pathlib import Path
+from statistics import median
+
+import numpy as np
+import pyarrow as pa
+from pyarrow import parquet
+
+from ftcal.applying import by_rows
+from ftcal.calibration import (
+    AxisVerdict,
+    Calibration,
+    Centre,
+    Offset,
+    Prior,
+    Provenance,
+    SensorCalibration,
+    to_json,
+)
+from ftcal.live import SdReader, WrenchReader
+from ftcal.sensor import AXES
+
+CHANNELS = 131_072
+"""Samples of the map in memory: a piece of the command."""
+GENERATED = 1_000_000
+"""Rows of a log that are made at a time."""
+NAMES = [f"leg.{axis}" for axis in AXES]
+
+BY_HAND = """
+import json, sys
+import numpy as np, pyarrow as pa
+from pyarrow import parquet
+sensor = json.load(open(sys.argv[1]))["sensors"][0]
+C, o = np.array(sensor["gain"]), np.array(sensor["offsets"][0]["offset"])
+table = parquet.read_table(sys.argv[2])
+names = table.column_names[1:]
+r = np.column_stack([table[name].to_numpy() for name in names])
+w = r @ C.T + o
+columns = [pa.array(np.ascontiguousarray(column)) for column in w.T]
+parquet.write_table(pa.table([table["time"], *columns], names=["time", *names]), sys.argv[3])
+"""
+"""What an engineer writes."""
+
+
+def calibration() -> Calibration:
+    """Return a calibration of one sensor, of numbers drawn at random."""
+    rng = np.random.default_rng(0)
+    gain = (rng.normal(size=(6, 6)) * 0.05).tolist()
+    centre = Centre(inputs=[100.0] * 6, sd=[0.1] * 6)
+    offset = Offset(
+        recording="log", start=0.0, stop=1.0, offset=[1.0] * 6, sd=[0.1] * 6, centre=centre
+    )
+    prior = Prior(
+        name="drawn", gain=gain, full_scale=[2e3] * 3 + [40.0] * 3, form="kappa", strength=0.1,
+        chosen_by="job",
+    )  # fmt: skip
+    sensor = SensorCalibration(
+        sensor="leg", signal="leg", logged="channels", frame="leg", acts_on="leg",
+        temperature_signal=None, gain=gain, fitted_gain=gain, secondary=None,
+        temperature_gain=None, reference_temperature=0.0, offsets=[offset],
+        covariance=[(1e-8 * np.eye(6)).tolist()] * 6, envelope={}, noise_sd=[0.1] * 6,
+        inefficiency=[1.0] * 6, prior=prior,
+        verdicts=[AxisVerdict(axis=axis, verdict="ACCEPT", reason="drawn") for axis in AXES],
+        health=[],
+    )  # fmt: skip
+    none = Provenance(ftcal="", python="", numpy="", created="", inputs=[])
+    return Calibration(robot="drawn", sensors=[sensor], provenance=none)
+
+
+def write_log(file: Path, samples: int) -> None:
+    """Write a log at 1 kHz, counts with noise, without holding more than a stretch of it."""
+    rng = np.random.default_rng(0)
+    schema = pa.schema([("time", pa.timestamp("ns", "UTC")), *((n, pa.float64()) for n in NAMES)])
+    with parquet.ParquetWriter(str(file), schema, compression="zstd") as sink:
+        for start in range(0, samples, GENERATED):
+            n = np.arange(start, min(start + GENERATED, samples))
+            stamps = 1_700_000_000 * 10**9 + n * 10**6 + rng.integers(0, 10**5, len(n))
+            slow = 1e3 * np.sin(n[:, None] / 1e3 * np.linspace(0.3, 2.0, 6))
+            counts = np.rint(slow + 20.0 * rng.standard_normal((len(n), 6)))
+            moments = pa.array(stamps).cast(schema.field("time").type)
+            sink.write_table(pa.table([moments, *map(pa.array, counts.T.copy())], schema=schema))
+
+
+def run(arguments: Sequence[str]) -> tuple[float, float]:
+    """Return seconds and peak memory [MB] of a process of its own."""
+    start = time.perf_counter()
+    process = subprocess.Popen([sys.executable, *arguments], stdout=subprocess.DEVNULL)
+    _, status, used = os.wait4(process.pid, 0)
+    if status:
+        raise SystemExit(f"{arguments[:4]} failed")
+    return time.perf_counter() - start, used.ru_maxrss / 1e3
+
+
+def control_loop(rounds: int) -> dict[str, float]:
+    """Print and return microseconds of a sample."""
+    (sensor,) = calibration().sensors
+    sample, figures = np.ones(6), {}
+    for name, read in (("wrench", WrenchReader(sensor).read), ("sd", SdReader(sensor).read)):
+        spent = timeit.repeat(partial(read, sample), number=10_000, repeat=10 * rounds)
+        figures[f"{name} us"] = median(spent) * 100
+        print(f"one sample, {name:8}{figures[f'{name} us']:8.2f} us")
+    return figures
+
+
+def mapping(rounds: int) -> dict[str, float]:
+    """Print and return millions of samples a second of the pure 6x6 map."""
+    rng = np.random.default_rng(0)
+    x = np.asfortranarray(rng.normal(size=(CHANNELS, 6)))
+    gain, offset = rng.normal(size=(6, 6)), rng.normal(size=6)
+    ways: dict[str, Callable[[], object]] = {
+        "ftcal": lambda: by_rows(x, gain, offset),
+        "BLAS": lambda: x @ gain.T + offset,
+    }
+    spent: dict[str, list[float]] = {name: [] for name in ways}
+    for _ in range(10 * rounds):
+        for name, way in ways.items():
+            start = time.perf_counter()
+            way()
+            spent[name].append(time.perf_counter() - start)
+    rates = {name: CHANNELS / median(seconds) / 1e6 for name, seconds in spent.items()}
+    print(f"6x6 map: {rates['ftcal']:.1f} million samples/s; BLAS {rates['BLAS']:.1f}")
+    return {"map Msamples/s": rates["ftcal"], "map / BLAS": rates["ftcal"] / rates["BLAS"]}
+
+
+def command(home: Path, samples: int, rounds: int) -> dict[str, float]:
+    """Print and return rate, memory and the time over that of a script, of `ftcal apply`."""
+    known, log = home / "calibration.json", home / "log.parquet"
+    known.write_bytes(to_json(calibration()))
+    run([__file__, "--write", str(log), "--samples", str(samples)])
+    apply = ["-m", "ftcal.cli", "apply", str(known), str(log), "-o"]
+    ways = {
+        "ftcal apply": [*apply, str(home / "out.parquet")],
+        "ftcal apply --sd": [*apply, str(home / "sd.parquet"), "--sd"],
+        "by hand": ["-c", BY_HAND, str(known), str(log), str(home / "hand.parquet")],
+    }
+    spent: dict[str, list[tuple[float, float]]] = {name: [] for name in ways}
+    for _ in range(rounds):
+        for name, arguments in ways.items():
+            spent[name].append(run(arguments))
+    seconds = {name: median(s for s, _ in each) for name, each in spent.items()}
+    print(f"{samples} samples x 7 columns, {log.stat().st_size / 1e6:.0f} MB of Parquet")
+    figures: dict[str, float] = {}
+    for name, each in spent.items():
+        rate, peak = samples / seconds[name] / 1e6, max(mb for _, mb in each)
+        print(f"{name:18}{seconds[name]:8.2f} s{rate:8.2f} million samples/s{peak:8.0f} MB")
+        figures |= {f"{name} Msamples/s": rate, f"{name} MB": peak}
+    return {**figures, "command / by hand": seconds["ftcal apply"] / seconds["by hand"]}
+
+
+def main(arguments: Sequence[str] | None = None) -> dict[str, float]:
+    """Print and return the figures of all three; those of the command for the last size."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--samples", type=int, default=3_000_000)
+    parser.add_argument("--scaling", type=int, nargs="*", default=[], help="samples, one after one")
+    parser.add_argument("--rounds", type=int, default=3)
+    parser.add_argument("--write", type=Path, metavar="LOG", help="make a log, and no more")
+    options = parser.parse_args(arguments)
+    if options.write:
+        write_log(options.write, options.samples)
+        return {}
+    figures = {**control_loop(options.rounds), **mapping(options.rounds)}
+    for samples in [*options.scaling, options.samples]:
+        with tempfile.TemporaryDirectory() as temporary:
+            figures |= command(Path(temporary), samples, options.rounds)
+    return figures
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,92 @@
+"""The recordings of a job, in memory while they are small together, else read again.
+
+A fit needs sums of a recording, a report its outline; hours of a humanoid do not fit into memory
+side by side, and need not.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import overload
+
+from ftcal import logs
+from ftcal.config import Job, RecordingSection
+from ftcal.errors import JobError
+from ftcal.health import examine
+from ftcal.pairing import FtChannel
+from ftcal.progress import Steps
+from ftcal.recording import Finding, Recording
+from ftcal.robot import Robot
+
+KEPT = 128 * 1024**2
+"""Bytes of recordings that are kept in memory."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Takes(Sequence[Recording]):
+    """The recordings of a job in their order; one beyond `KEPT` is read at every look."""
+
+    job: Job
+    robot: Robot
+    channels: tuple[FtChannel, ...]
+    outlines: tuple[Recording, ...]
+    """Each with the first and last sample of every signal only."""
+    findings: tuple[tuple[Finding, ...], ...]
+    """What is wrong with each."""
+    kept: dict[int, Recording] = field(repr=False)
+
+    @staticmethod
+    def read(
+        job: Job,
+        robot: Robot,
+        channels: Sequence[FtChannel],
+        steps: Steps,
+        most: int | None = None,
+    ) -> Takes:
+        """Return the recordings of a job, keeping `most` bytes of them (default: `KEPT`).
+
+        Raises `JobError` where a log is missing, `LogError` where one cannot be believed.
+        """
+        outlines, findings, kept, size = [], [], {}, 0
+        firmware = {channel.signal: channel.workbench.firmware for channel in channels}
+        for i, section in enumerate(job.recordings):
+            steps.begin(f"reading {section.label}")
+            recording = _read(job, section)
+            outlines.append(recording.outline())
+            found = examine(recording, sensors=firmware, robot=robot)
+            findings.append((*recording.findings, *found))
+            size += recording.size
+            if size <= (KEPT if most is None else most):
+                kept[i] = recording
+        return Takes(job, robot, tuple(channels), tuple(outlines), tuple(findings), kept)
+
+    @property
+    def flat(self) -> tuple[tuple[str, Finding], ...]:
+        """Recording and finding, in order."""
+        pairs = zip(self.outlines, self.findings, strict=True)
+        return tuple((recording.name, finding) for recording, found in pairs for finding in found)
+
+    def __len__(self) -> int:
+        return len(self.outlines)
+
+    @overload
+    def __getitem__(self, which: int) -> Recording: ...
+    @overload
+    def __getitem__(self, which: slice) -> Sequence[Recording]: ...
+    def __getitem__(self, which: int | slice) -> Recording | Sequence[Recording]:
+        at = range(len(self))[which]
+        if isinstance(at, range):
+            return [self[i] for i in at]
+        return self.kept.get(at) or _read(self.job, self.job.recordings[at])
+
+    def __iter__(self) -> Iterator[Recording]:
+        return (self[i] for i in range(len(self)))
+
+
+def _read(job: Job, section: RecordingSection) -> Recording:
+    """Return one recording of a job."""
+    path = job.path(section.log)
+    if not path.exists():
+        raise JobError(f"{job.file}: no log at {section.log}; paths are relative to the job")
+    return logs.read(path, section.layout(), name=section.label)
