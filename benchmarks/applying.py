@@ -118,8 +118,9 @@ def control_loop(rounds: int) -> dict[str, float]:
     sample, figures = np.ones(6), {}
     for name, read in (("wrench", WrenchReader(sensor).read), ("sd", SdReader(sensor).read)):
         spent = timeit.repeat(partial(read, sample), number=10_000, repeat=10 * rounds)
-        figures[f"{name} us"] = median(spent) * 100
-        print(f"one sample, {name:8}{figures[f'{name} us']:8.2f} us")
+        # the fastest says what the code costs, the median what others on this machine add
+        figures[f"{name} us"] = min(spent) * 100
+        print(f"one sample, {name:8}{min(spent) * 100:8.2f} us, median {median(spent) * 100:.2f}")
     return figures
 
 

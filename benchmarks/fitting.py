@@ -1,37 +1,34 @@
-"""100 lambdas on 8 recordings from their moments, against one least squares a lambda and samples.
+"""100 lambdas on 8 recordings, against one least squares a lambda and samples.
 
-The reference is what an engineer writes: centre, stack, append the penalty's rows, `lstsq`. Both
-run on one pinned core, in turn; medians over the rounds. Run as `python benchmarks/fitting.py`.
+    python benchmarks/fitting.py --samples 7500
+
+Two references: what an engineer writes (centre, stack, append the penalty's rows, `lstsq`), and the
+normal equations as the paper's MATLAB code has them: `R'R + lambda I` against `R'W + lambda C'`,
+formed anew for each lambda. Ours starts from moments or, counted in, from the samples.
 """
 
 from __future__ import annotations
 
-import argparse
-import os
-import statistics
-import time
+from collections.abc import Callable
+from functools import partial
+from typing import TYPE_CHECKING
 
 import numpy as np
+from measure import Benchmark, Record, interleaved
 
 from ftcal.moments import Moments, within
 from ftcal.ridge import penalty_path
 from ftcal.sensor import Workbench
 
+if TYPE_CHECKING:
+    from jaxtyping import Float
+    from numpy import ndarray as Array
+
 RECORDINGS, LAMBDAS = 8, 100
 
 
-def main() -> dict[str, float]:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--samples", type=int, default=7500, help="of each recording")
-    parser.add_argument("--rounds", type=int, default=7)
-    arguments = parser.parse_args()
-    return measure(arguments.samples, arguments.rounds)
-
-
-def measure(samples: int, rounds: int) -> dict[str, float]:
-    """Print and return seconds, ratio and the largest difference relative to the gain."""
-    if hasattr(os, "sched_setaffinity"):
-        os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
+def measure(samples: int, rounds: int) -> list[Record]:
+    """Return the ratios by reference, moments ready or not."""
     rng = np.random.default_rng(0)
     scale = np.array([1500.0, 1800.0, 2100.0, 37.0, 38.0, 24.0])
     gain = scale[:, None] * rng.normal(size=(6, 6)) / 32767
@@ -43,14 +40,15 @@ def measure(samples: int, rounds: int) -> dict[str, float]:
         tables.append(np.concatenate([channels, wrench], axis=1))
     lambdas = np.geomspace(0.1, 1e3, LAMBDAS)
 
-    begin = time.perf_counter()
     moments = [Moments.of(table) for table in tables]
-    once = time.perf_counter() - begin
 
-    def ours() -> np.ndarray:
-        return np.array([e.gain for e in penalty_path(within(moments), workbench, lambdas)])
+    def ours(ready: list[Moments]) -> Float[Array, "L 6 6"]:
+        return np.array([e.gain for e in penalty_path(within(ready), workbench, lambdas)])
 
-    def stacked() -> np.ndarray:
+    def from_samples() -> Float[Array, "L 6 6"]:
+        return ours([Moments.of(table) for table in tables])
+
+    def stacked() -> Float[Array, "L 6 6"]:
         rows = np.concatenate([table - table.mean(axis=0) for table in tables])
         gains = []
         for weight in lambdas:
@@ -60,25 +58,33 @@ def measure(samples: int, rounds: int) -> dict[str, float]:
             gains.append(np.linalg.lstsq(design, target, rcond=None)[0].T)
         return np.array(gains)
 
-    seconds: dict[str, list[float]] = {"moments": [], "lstsq": []}
-    for _ in range(rounds):
-        for name, contender in (("moments", ours), ("lstsq", stacked)):
-            begin = time.perf_counter()
-            contender()
-            seconds[name].append(time.perf_counter() - begin)
-    ratios = (b / a for a, b in zip(seconds["moments"], seconds["lstsq"], strict=True))
-    figures = {
-        "take_moments_s": once,
-        "moments_s": statistics.median(seconds["moments"]),
-        "lstsq_s": statistics.median(seconds["lstsq"]),
-        "ratio": statistics.median(ratios),
-        "relative_error": float(np.abs(ours() - stacked()).max() / np.abs(gain).max()),
-    }
-    print(f"{RECORDINGS} recordings of {samples} samples, {LAMBDAS} lambdas, {rounds} rounds")
-    for name, figure in figures.items():
-        print(f"{name:16s} {figure:.3g}")
-    return figures
+    def normal() -> Float[Array, "L 6 6"]:
+        rows = np.concatenate([table - table.mean(axis=0) for table in tables])
+        gains = []
+        for weight in lambdas:
+            held = 6 * len(rows) * weight
+            A = rows[:, :6].T @ rows[:, :6] + held * np.eye(6)
+            gains.append(np.linalg.solve(A, rows[:, :6].T @ rows[:, 6:] + held * gain.T).T)
+        return np.array(gains)
 
+    found = ours(moments)
+    references: dict[str, Callable[[], Float[Array, "L 6 6"]]] = {
+        "lstsq, each lambda": stacked, "normal equations": normal,
+    }  # fmt: skip
+    for name, reference in references.items():
+        if not np.allclose(found, reference(), rtol=0, atol=1e-8 * abs(gain).max()):
+            raise SystemExit(f"{name} finds another matrix")
+    ways = {"from moments": partial(ours, moments), "from samples": from_samples}
+    times = interleaved({**ways, **references}, rounds)
+    size = f"{RECORDINGS} recordings of {samples} samples"
+    return [
+        Record.of(f"{LAMBDAS} penalties, {way}", name, size, ours=times[way], theirs=times[name])
+        for way in ways
+        for name in references
+    ]
+
+
+BENCHMARK = Benchmark(measure, {"samples": 7500, "rounds": 7}, {"samples": 100, "rounds": 1})
 
 if __name__ == "__main__":
-    main()
+    BENCHMARK.main(__doc__)

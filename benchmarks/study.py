@@ -5,25 +5,21 @@
 Fits: the reference is what an engineer writes, `lstsq` on the samples of a recording, for every
 penalty again with its rows below. Scoring is the same in both, so the ratio of whole validations is
 smaller. Logs: an iCub on its pole as YARP text, read, paired and kept; then found again.
-All take turns within a round, so that a noisy neighbour slows them alike; medians over the rounds.
 """
 
 from __future__ import annotations
 
-import argparse
-import os
 import shutil
 import tempfile
-import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from statistics import median
 from typing import TYPE_CHECKING
 
 import icub_models
 import numpy as np
+from measure import Benchmark, Record, interleaved
 
 from ftcal.balances import Balance
 from ftcal.config import PAPER_LAMBDAS, read_job
@@ -174,30 +170,8 @@ def write_logs(folder: Path, samples: int, rng: np.random.Generator) -> Path:
     return job
 
 
-def seconds_of(call: Callable[[], object]) -> float:
-    start = time.perf_counter()
-    call()
-    return time.perf_counter() - start
-
-
-def ratio(slower: Sequence[float], faster: Sequence[float]) -> float:
-    """Return the median of the ratios of the rounds."""
-    return median(a / b for a, b in zip(slower, faster, strict=True))
-
-
-def interleaved(calls: Mapping[str, Callable[[], object]], rounds: int) -> dict[str, list[float]]:
-    """Return the seconds of each call in each round."""
-    times: dict[str, list[float]] = {name: [] for name in calls}
-    for _ in range(rounds):
-        for name, call in calls.items():
-            times[name].append(seconds_of(call))
-    return times
-
-
-def main(seconds: int = 100, rounds: int = 5) -> dict[str, float]:
-    """Print the table; return seconds and ratios by name."""
-    if hasattr(os, "sched_setaffinity"):
-        os.sched_setaffinity(0, {max(os.sched_getaffinity(0))})
+def measure(seconds: int, rounds: int) -> list[Record]:
+    """Return the ratios of fits, of whole validations, and of a study that finds its shelf."""
     rng = np.random.default_rng(0)
     sensors = [invented(seconds * RATE, rng) for _ in range(SENSORS)]
     firsts = [first for first, _ in validations(sensors)]
@@ -223,25 +197,18 @@ def main(seconds: int = 100, rounds: int = 5) -> dict[str, float]:
         times = interleaved(calls, rounds)
     whole, moments, lstsq, first, second = times.values()
     with_lstsq = [w - m + q for w, m, q in zip(whole, moments, lstsq, strict=True)]
-    print(f"{RECORDINGS} recordings of {seconds} s and a switching run, {len(PAPER_LAMBDAS)}"
-          f" lambdas, {SENSORS} sensors; {len(ours)} fits, {rounds} rounds")  # fmt: skip
-    print(f"{'':<32}{'seconds':>10}")
-    for name, figures in {**times, "both validations with lstsq": with_lstsq}.items():
-        print(f"{name:<32}{median(figures):>10.3f}")
-    ratios = {
-        "lstsq / moments": ratio(lstsq, moments),
-        "validations: lstsq / moments": ratio(with_lstsq, whole),
-        "study: first / second run": ratio(first, second),
-    }
-    print(f"{'':<32}{'ratio':>10}")
-    for name, figure in ratios.items():
-        print(f"{name:<32}{figure:>10.1f}")
-    return {**{name: median(figures) for name, figures in times.items()}, **ratios}
+    size = f"{RECORDINGS} recordings of {seconds} s"
+    return [
+        Record.of("study: fits of both validations", "lstsq, each penalty", size,
+                  ours=moments, theirs=lstsq),
+        Record.of("study: both validations", "lstsq, each penalty", size,
+                  ours=whole, theirs=with_lstsq),
+        Record.of("study: whole, from the shelf", "its own first run", size,
+                  ours=second, theirs=first),
+    ]  # fmt: skip
 
+
+BENCHMARK = Benchmark(measure, {"seconds": 100, "rounds": 5}, {"seconds": 20, "rounds": 1})
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--seconds", type=int, default=100)
-    parser.add_argument("--rounds", type=int, default=5)
-    arguments = parser.parse_args()
-    main(arguments.seconds, arguments.rounds)
+    BENCHMARK.main(__doc__)

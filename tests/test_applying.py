@@ -23,6 +23,7 @@ from ftcal.applying import (
     refused,
     temperature_at,
     wrench_sd,
+    writer,
 )
 from ftcal.calibration import Calibration, Offset, SensorCalibration
 from ftcal.cli import main
@@ -366,6 +367,64 @@ def test_sensors_with_clocks_of_their_own_want_a_folder(
     assert sorted(f.name for f in (tmp_path / "out").iterdir()) == [
         "ft_sensor.parquet", "other.parquet",
     ]  # fmt: skip
+
+
+def wrenches(*names: str, rows: int = 3, start: int = 0) -> Recording:
+    """Return signals of ones on a clock that they share."""
+    stamps = start + np.arange(rows)
+    columns = ("fx", "fy", "fz", "tx", "ty", "tz")
+    return Recording(
+        "take",
+        "",
+        0,
+        (),
+        tuple(Signal(name, columns, stamps, np.ones((rows, 6))) for name in names),
+    )
+
+
+@pytest.mark.parametrize("pieces", [(("a", "b"), ("b",)), (("b",), ("a", "b")), (("a",), ("b",))])
+def test_a_signal_that_pauses_has_a_clock_of_its_own(
+    tmp_path: Path, pieces: tuple[tuple[str, ...], tuple[str, ...]]
+) -> None:
+    def write(path: Path) -> None:
+        with writer(path) as file:
+            file.add(wrenches(*pieces[0]))
+            file.add(wrenches(*pieces[1], start=10))
+
+    with pytest.raises(OutputError, match=r"'a' and 'b' have clocks of their own; give a folder"):
+        write(tmp_path / "t.csv")
+    write(tmp_path / "t")
+    rows = {signal.name: len(signal) for signal in logs.read(tmp_path / "t").channels}
+    assert rows == {name: 3 * sum(name in piece for piece in pieces) for name in ("a", "b")}
+
+
+def test_names_that_would_meet_in_a_table_are_refused(tmp_path: Path) -> None:
+    with (
+        pytest.raises(OutputError, match="two columns would have one name"),
+        writer(tmp_path / "t.csv") as file,
+    ):
+        file.add(wrenches("a", "a"))
+    with (
+        pytest.raises(OutputError, match="two signals are called 'a'"),
+        writer(tmp_path / "t") as file,
+    ):
+        file.add(wrenches("a", "a"))
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_place_that_cannot_be_written_is_named(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    with pytest.raises(OutputError, match=r"t\.csv: cannot be written"):
+        writer(tmp_path / "file" / "t.csv")
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full" / "precious").touch()
+    with (
+        pytest.raises(OutputError, match="full: cannot be written"),
+        writer(tmp_path / "full") as file,
+    ):
+        file.add(wrenches("a"))
+    assert sorted(place.name for place in tmp_path.iterdir()) == ["file", "full"]
+    assert (tmp_path / "full" / "precious").exists()
 
 
 def test_a_log_without_a_temperature_where_it_matters_has_nothing_to_write(

@@ -246,6 +246,22 @@ def test_unknown_types_are_a_finding(tmp_path: Path) -> None:
     assert finding.message == f"not read: /rosout ({ros2(TEXT)}, 1), /x ({ros2(TEXT)}, 1)"
 
 
+def test_topic_without_messages_is_a_finding(tmp_path: Path) -> None:
+    from mcap.writer import Writer
+
+    with (tmp_path / "a.mcap").open("wb") as stream:
+        writer = Writer(stream)
+        writer.start(profile="ros2")
+        schema = writer.register_schema(ros2(HEAT), "ros2msg", definition(HEAT).encode())
+        for name in ("/t", "/silent"):
+            channel = writer.register_channel(name, "cdr", schema)
+            if name == "/t":
+                writer.add_message(channel, START, temperature(START, 1), START)
+        writer.finish()  # type: ignore[no-untyped-call]
+    (finding,) = read(tmp_path / "a.mcap").findings
+    assert (finding.signal, finding.message) == ("/silent", "no message on this topic")
+
+
 def test_bag_of_unknown_types_alone_is_refused(tmp_path: Path) -> None:
     text = ("/rosout", TEXT, START, Bytes().text("hello").done())
     with pytest.raises(LogError, match=r"no joint, F/T.*topics: /rosout"):

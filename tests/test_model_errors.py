@@ -199,6 +199,13 @@ def test_zeros_of_all_joints_are_believed_together() -> None:
     assert "all joint zeros" in believed(tried)
     assert farthest(tried["all joint zeros"], np.array([zero for _, zero in zeros])) < DISTINCT
     assert not any("tilt" in words for words in believed(tried))
+    posterior = fit.posterior
+    at = [posterior.unknowns.model_error(f"zero of {name}") for name in LEGS]
+    # the balances take on all of it: what the last fit would add is less than it can know, though
+    # some of these zeros are hardly better known than before
+    assert (
+        np.abs(posterior.theta[at]).max() < 0.2 * np.sqrt(np.diag(posterior.covariance)[at]).min()
+    )
     bare, _ = tried_on(one, job())
     # measured 0.73
     assert distance(fit, one) < 0.85 * distance(bare, one)
@@ -218,7 +225,7 @@ def test_two_causes_that_no_reading_tells_apart_are_both_named() -> None:
 # ------------------------------------------------------------------------- nothing was planted
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(3))
 def test_nothing_planted_nothing_claimed(seed: int) -> None:
     fit, tried = outcome(Planted(), seed)
     assert not believed(tried)
@@ -238,7 +245,10 @@ def test_wrong_masses_are_not_read_as_zeros_or_floors() -> None:
     }  # fmt: skip
     _, tried = tried_on(
         world(Planted(), 0, noise=3e-4),
-        job(whole_body=ZEROS_AND_TILT),
+        job(
+            [{"contacts": [{"start": a, "stop": b, "link": link} for a, b, link in SPANS[1:]]}],
+            whole_body=ZEROS_AND_TILT,
+        ),
         replace(WALKER, links=links),
     )
     assert not believed(tried)
@@ -272,7 +282,8 @@ def test_balances_that_take_on_the_truth_leave_nothing() -> None:
     planted = Planted(zeros=KNEE_OFF.zeros, tilt=TILT, load=LOAD)
     one = world(planted, 0, noise=0.0)
     described = job(
-        whole_body={**ZEROS_AND_TILT, "payloads": [{"link": "r_foot", "mass": 2.0, "com": 0.5}]}
+        [{"contacts": [{"start": 16.0, "stop": 30.0, "link": "l_sole"}]}],
+        whole_body={**ZEROS_AND_TILT, "payloads": [{"link": "r_foot", "mass": 2.0, "com": 0.5}]},
     )
     accused = suspects(described, WALKER, [one.recording])
     sd = {error.name: error.sd for suspect in accused for error in suspect.errors}
@@ -302,13 +313,13 @@ def test_balances_that_take_on_the_truth_leave_nothing() -> None:
 @settings(max_examples=30, deadline=None)
 def test_elimination_is_the_whole_problem(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    unknowns = Unknowns({}, ("part",), (("s", Segment("take", 0.0, 1.0)),), ("a", "b"))
+    unknowns = Unknowns({}, ("part",), (("s", Segment("take", 0.0, 1.0)),), {"a": 0.0, "b": 0.5})
     group, rows = ("part", "force"), rng.normal(size=(40, unknowns.count + 1))
     G = rows.T @ rows
     normal = Normal(unknowns, {group: G[:-1, :-1]}, {group: G[:-1, -1]},
                     {group: float(G[-1, -1])}, {group: 40})  # fmt: skip
     noise = {group: GroupNoise(0.7, 2.0)}
-    found = Eliminated.of(normal, noise, 0.1, {"b": 0.5})
+    found = Eliminated.of(normal, noise, 0.1)
     # the balances take on half a standard deviation of b: their target is what that left
     target = rows[:, -1] + 0.5 * rows[:, unknowns.model_error("b")]
     places = model_places(unknowns)

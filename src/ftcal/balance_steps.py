@@ -16,7 +16,6 @@ import numpy as np
 
 from ftcal.balances import Balance
 from ftcal.pairing import FtChannel
-from ftcal.sensor import Workbench
 from ftcal.signals import SMOOTHING_ORDER
 from ftcal.step_blocks import Blocks, Part, Problem
 from ftcal.step_search import KAPPA, LEAST, StepFit
@@ -29,10 +28,6 @@ if TYPE_CHECKING:
 
 MOST_BLOCKS = 300
 """Blocks of a recording: all sensors share one search."""
-
-IMPERFECT = 0.01
-"""Share of the load's variation that no matrix explains: hysteresis and bent characteristics of a
-strain-gauge sensor, that come and go with the load and are no steps."""
 
 TIE = 10.0
 """Twice the logarithm of how much likelier one sensor must be than another to be the one."""
@@ -118,13 +113,6 @@ def balance_problem(
         name: np.concatenate([b.inputs[name] for b in balances if name in b.inputs]).mean(axis=0)
         for name in sensors
     }
-    floors = {
-        name: imperfection(
-            frames[name].workbench,
-            [b.inputs[name] - references[name] for b in balances if name in b.inputs],
-        )
-        for name in sensors
-    }
     # what the offset of each sensor may do over time: drift, and step where that is known
     courses = {
         name: np.hstack([blocks.drift(), blocks.stepped(np.array(breaks.get(name, ())))])
@@ -162,9 +150,7 @@ def balance_problem(
             rows[:, at + MODEL * index : at + MODEL * (index + 1)] = mine[:, start : start + MODEL]
             group = np.full(len(block), len(owners))
             parts.append(Part(block, group, rows, mine[:, -1], held, tuple(levers.values())))
-            share = sum(
-                np.mean((lever * floors[name]) ** 2, axis=0).sum() for name, lever in levers.items()
-            )
+            share = sum(np.mean((lever * LEAST) ** 2, axis=0).sum() for lever in levers.values())
             least.append(float(np.sqrt(share)))
             owners.append(balance.sub_model)
     whole = Part(
@@ -176,17 +162,6 @@ def balance_problem(
         tuple(np.concatenate(some) for some in zip(*(p.levers for p in parts), strict=True)),
     )
     return Problem(blocks, (whole,), np.array(least), tuple(owners)), sensors
-
-
-def imperfection(workbench: Workbench, moved: Sequence[Float[Array, "N P"]]) -> Float[Array, "6"]:
-    """Return the least standard deviation of what a sensor reads, as a share of full scale.
-
-    `moved` are its channels about their mean, in every balance: what a stance loads, a swing that
-    follows remembers.
-    """
-    gain = workbench.gain
-    load = np.concatenate(moved)[:, : gain.shape[1]] @ gain.T / workbench.full_scale
-    return np.asarray(np.hypot(LEAST, IMPERFECT * np.sqrt(np.mean(load**2, axis=0))))
 
 
 def block_features(

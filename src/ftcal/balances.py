@@ -90,6 +90,8 @@ class Balance:
     model_errors: dict[str, Float[Array, "N 6"]] = field(default_factory=dict)
     """What one standard deviation of an error of the model adds to what the readings add up to,
     less h [N, Nm]; by its name, where any is suspected."""
+    taken_on: dict[str, float] = field(default_factory=dict)
+    """How much of some of them the balance takes on already, in their standard deviations."""
 
     @property
     def equations(self) -> int:
@@ -111,6 +113,7 @@ class Balance:
             (self.required if required is None else required)[where],
             self.by_mass,
             {name: change[where] for name, change in self.model_errors.items()},
+            self.taken_on,
         )
 
     def residual(self, readings: Mapping[str, Float[Array, "N 6"]]) -> Float[Array, "N 6"]:

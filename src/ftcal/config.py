@@ -356,10 +356,11 @@ class Job(Section):
         labels = [r.label for r in self.recordings]
         sensors = [s.name for s in self.sensors]
         for section in self.recordings:
-            for key, names in (("breaks", section.known_breaks), ("leave_out", section.leave_out)):
-                if strangers := [name for name in names if name not in sensors]:
+            timed = [("breaks", name) for name in section.known_breaks]
+            for key, name in (*timed, *(("leave_out", name) for name in section.leave_out)):
+                if name not in sensors:
                     where = f"recording {section.label!r}: {key}"
-                    raise ValueError(f"{where}: {unknown('sensor', strangers[0], sensors)}")
+                    raise ValueError(f"{where}: {unknown('sensor', name, sensors)}")
             for name, times in section.known_breaks.items():
                 if list(times) != sorted(set(times)):
                     raise ValueError(

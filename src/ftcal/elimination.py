@@ -59,16 +59,14 @@ class Eliminated:
         normal: Normal,
         noise: Mapping[Group, GroupNoise],
         kappa: float,
-        believed: Mapping[str, float],
     ) -> Eliminated:
-        """Return what some sums say; their balances take on what is `believed` of some numbers."""
+        """Return what some sums say of the numbers, what their balances take on included."""
         places = model_places(normal.unknowns)
         at = np.array(list(places.values()), dtype=int)
         others = np.setdiff1d(np.arange(normal.unknowns.count), at)
-        A = normal.information(noise)
-        taken = np.array([believed.get(name, 0.0) for name in places])
+        A = normal.information(noise) + normal.unknowns.precision(kappa)
+        taken = np.array([normal.unknowns.model_errors.get(name, 0.0) for name in places])
         b = normal.pull(noise) + A[:, at] @ taken
-        A = A + normal.unknowns.precision(kappa)
         # the unknowns differ by orders of magnitude in how well they are known
         scale = 1.0 / np.sqrt(np.diag(A)[others])
         inner = scale[:, None] * A[np.ix_(others, others)] * scale

@@ -47,6 +47,9 @@ ROUNDS = 4
 SETTLED = 0.1
 """Change of a number, in its standard deviations, that no longer matters."""
 
+LEAST_SCALE = 0.01
+"""Scale of all sensors at least; less is none."""
+
 UNSEEN = 0.99
 """Share of its prior's standard deviation from which on the data say nothing of a number."""
 
@@ -118,19 +121,17 @@ class Trial:
     all_of_them: Eliminated
     folds: tuple[tuple[tuple[Terms, ...], Eliminated], ...]
     """Stretches left out, and what the others say."""
-    believed: Mapping[str, float]
-    """What the balances take on."""
     fit: WholeBody
 
     @staticmethod
-    def of(terms: Sequence[Terms], fit: WholeBody, believed: Mapping[str, float]) -> Trial:
+    def of(terms: Sequence[Terms], fit: WholeBody) -> Trial:
         """Return the trial of all suspects that some terms have columns for."""
         posterior = fit.posterior
 
         def eliminated(some: Sequence[Terms]) -> Eliminated:
             normal = Normal.of(some, Unknowns.of(some, fit.frames))
             noise = {group: posterior.noise[group] for group in normal.products}
-            return Eliminated.of(normal, noise, posterior.kappa, believed)
+            return Eliminated.of(normal, noise, posterior.kappa)
 
         stretches = list(stretches_of(terms).values())
         folds = [
@@ -138,30 +139,27 @@ class Trial:
             for held in stretches
             if len(stretches) > 1
         ]
-        return Trial(eliminated(terms), tuple(folds), believed, fit)
+        return Trial(eliminated(terms), tuple(folds), fit)
 
     def gain(self, free: Sequence[str], beside: Sequence[str]) -> float:
         """Return the growth of the log evidence by numbers `beside` those that are free anyway."""
         return self.all_of_them.gain([*beside, *free]) - self.all_of_them.gain(beside)
 
     def worse(self, free: Sequence[str], beside: Sequence[str]) -> float:
-        """Return the change of the RMS residual of stretches left out, their geometric mean."""
+        """Return the change of the RMS residual of stretches left out, their geometric mean.
+
+        As a share of what the sensors read: a part whose weight is free no longer anchors their
+        scale, and all matrices shrunk together leave less.
+        """
         found = []
         for held, rest in self.folds:
-            new, old = (
-                held_out(held, rest.unknowns, self._beyond(rest, some), self.fit.posterior.noise)
-                for some in ([*beside, *free], beside)
-            )
-            if min(new, old) > 0.0:
-                found.append(0.5 * np.log(new / old))
+            new, old = (beyond(rest, some) for some in ([*beside, *free], beside))
+            left = [held_out(held, rest.unknowns, theta, self.fit.posterior.noise)
+                    for theta in (new, old)]  # fmt: skip
+            if min(left) > 0.0:
+                shrunk = common_scale(rest.unknowns, new) / common_scale(rest.unknowns, old)
+                found.append(0.5 * np.log(left[0] / left[1]) - np.log(shrunk))
         return float(np.expm1(np.mean(found))) if found else float("nan")
-
-    def _beyond(self, rest: Eliminated, free: Sequence[str]) -> Float[Array, "U"]:
-        """Return the unknowns as the terms want them: beyond what the balances take on."""
-        theta = rest.fitted(free)
-        for name in rest.unknowns.model_errors:
-            theta[rest.unknowns.model_error(name)] -= self.believed.get(name, 0.0)
-        return theta
 
     def numbers(self, errors: Sequence[ModelError], beside: Sequence[str]) -> tuple[Number, ...]:
         """Return the numbers of one suspect; those that no balance has stay at their prior."""
@@ -184,6 +182,20 @@ class Trial:
             row, column = np.unravel_index(np.argmax(size), size.shape)
             found.append(Move(sensor, int(row), int(column), 100.0 * float(size.max())))
         return tuple(sorted(found, key=lambda move: -move.percent))
+
+
+def beyond(rest: Eliminated, free: Sequence[str]) -> Float[Array, "U"]:
+    """Return the unknowns as the terms want them: beyond what the balances take on."""
+    theta = rest.fitted(free)
+    for name, taken in rest.unknowns.model_errors.items():
+        theta[rest.unknowns.model_error(name)] -= taken
+    return theta
+
+
+def common_scale(unknowns: Unknowns, theta: Float[Array, "U"]) -> float:
+    """Return how much the matrices of all sensors read of what their Workbenches do."""
+    bends = [along @ theta / 3**0.5 for _, along in unknowns.scales()]
+    return max(1.0 + float(np.mean(bends)), LEAST_SCALE) if bends else 1.0
 
 
 Accused = Mapping[str, Sequence[ModelError]]
@@ -294,7 +306,7 @@ def calibrate_suspecting(
                 weights = robust_weights(known_terms, fit.posterior)
             take = Suspicion(accused, believed, fit).balanced(job, robot, channels, *given)
             terms += take.terms(take.train, fit.frames, model, weights)
-        tried = verdicts(Trial.of(terms, fit, believed), numbers, always)
+        tried = verdicts(Trial.of(terms, fit), numbers, always)
         said = [number for one in tried if one.word == "believed" for number in one.numbers]
         if settled(said, believed):
             break

@@ -25,6 +25,7 @@ from ftcal.ridge import Estimate
 from ftcal.robot import FtSensor, Robot
 from ftcal.samples import Samples
 from ftcal.sensor import Workbench
+from ftcal.takes import PairedTake
 from ftcal.validate import Envelope, HeldOut, Scores, held_out, load_envelope, score
 from ftcal.verdict import Verdict, judge
 
@@ -72,29 +73,25 @@ def calibrate_sensor(
     job: Job,
     robot: Robot,
     channel: FtChannel,
-    recordings: Sequence[Recording],
-    findings: Sequence[Sequence[Finding]],
+    takes: Sequence[PairedTake],
     steps: Steps,
 ) -> SensorOutcome:
-    """Return everything about one sensor.
+    """Return everything about one sensor from the recordings of a job, in its order.
 
     Raises `DataError` where no training (or no test) window holds a usable sample, or where the in
     situ offset is asked for and its assumption fails.
     """
     in_situ = job.fit.offset == "in situ"
-    reference = reference_temperature(channel, recordings)
+    reference = reference_temperature(channel, takes)
     name = next(s.name for s in job.sensors if robot.sensor(s.name).name == channel.sensor)
     paired: list[Paired] = []
     training: list[Samples] = []
     fitted: list[Samples] = []
     test: list[Samples] = []
     offsets: list[InSituOffset] = []
-    for section, recording, found in zip(job.recordings, recordings, findings, strict=True):
-        steps.begin(f"pairing {channel.sensor} in {section.label}")
-        both = pair_recording(
-            job, robot, channel, section, recording, found, reference, with_attitude=in_situ
-        )
-        both = settled(section, name, both)
+    for given, take in zip(job.recordings, takes, strict=True):
+        section = take.section(given)
+        both = settled(section, name, counted_from(reference, take.sensors[channel.sensor]))
         train, held = split(section, name, both, job.signals.smoothing)
         if in_situ:
             taken = [raw_offset(both, segment, channel) for segment in train]
@@ -140,9 +137,9 @@ def calibrate_sensor(
         verdicts,
         deployed(result.estimate, channel.workbench, verdicts),
         tuple(
-            (recording.name, finding)
-            for recording, found in zip(recordings, findings, strict=True)
-            for finding in found
+            (take.outline.name, finding)
+            for take in takes
+            for finding in take.findings
             if finding.signal in mine
         ),
     )
@@ -174,12 +171,19 @@ def pair_recording(
     )
 
 
-def reference_temperature(channel: FtChannel, recordings: Sequence[Recording]) -> float:
+def reference_temperature(channel: FtChannel, takes: Sequence[PairedTake]) -> float:
     """Return T_ref [degree Celsius]: the mean over all recordings, zero where none is logged."""
     if channel.temperature is None:
         return 0.0
-    logged = [recording.temperature(channel.temperature).values for recording in recordings]
-    return float(np.concatenate(logged).mean())
+    return float(np.concatenate([take.temperatures[channel.sensor] for take in takes]).mean())
+
+
+def counted_from(reference: float, both: Paired) -> Paired:
+    """Return the samples with their temperature counted from `reference` [degree Celsius]."""
+    warm = both.samples.temperature
+    if warm is None:
+        return both
+    return replace(both, samples=replace(both.samples, temperature=warm - reference))
 
 
 def settled(section: RecordingSection, sensor: str, both: Paired) -> Paired:
@@ -223,7 +227,7 @@ def split(
 
 def cut(section: RecordingSection, sensor: str, windows: Windows) -> list[tuple[float, float]]:
     """Return windows cut where the offset of a sensor steps."""
-    found = []
+    found: list[tuple[float, float]] = []
     for start, stop in windows:
         inside = [t for t in section.known_breaks.get(sensor, ()) if start < t < stop]
         found += itertools.pairwise([start, *inside, stop])

@@ -1,6 +1,8 @@
 """The whole method on one page: logs → samples → fit → validation → calibration.
 
 `calibrate(job)` is what `ftcal calibrate` runs; `report.write_outcome` puts its outcome on disk.
+Recordings are paired one by one, wherever there are processors (`ftcal.compute`); what is fitted to
+is the same to the last bit.
 """
 
 from __future__ import annotations
@@ -10,17 +12,19 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ftcal.archive import Shelf
 from ftcal.calibration import Calibration
+from ftcal.compute import Executor, Here
 from ftcal.config import Job, SensorSection
 from ftcal.errors import DataError, RobotError
 from ftcal.evidence import provenance, sensor_calibration
 from ftcal.one_sensor import SensorOutcome, calibrate_sensor, pair_recording
+from ftcal.paired_takes import paired_takes
 from ftcal.pairing import FtChannel, one_sided
 from ftcal.progress import Progress, Steps, silent
 from ftcal.recording import Finding, Recording
 from ftcal.robot import Robot
-from ftcal.segmentation import segmented
-from ftcal.takes import Takes
+from ftcal.takes import Logs, PairedTake, Takes
 from ftcal.urdf import read_robot
 from ftcal.validate import Scores, held_out, score
 from ftcal.workbench import read_workbench
@@ -32,8 +36,10 @@ class Outcome:
 
     job: Job
     robot: Robot
-    recordings: Sequence[Recording]
-    """Read again at every look where they are large."""
+    recordings: tuple[Recording, ...]
+    """With the first and last sample of every signal only."""
+    logs: Logs
+    """The recordings whole, read again where they are looked at."""
     findings: tuple[tuple[str, Finding], ...]
     """Recording and finding, in order."""
     sensors: tuple[SensorOutcome, ...]
@@ -45,29 +51,63 @@ class Outcome:
         return any(verdict.use for sensor in self.sensors for verdict in sensor.verdicts)
 
 
-def calibrate(job: Job, *, progress: Progress = silent) -> Outcome:
+def calibrate(
+    job: Job,
+    *,
+    where: Executor | None = None,
+    shelf: Shelf | None = None,
+    progress: Progress = silent,
+) -> Outcome:
     """Return the calibration of every sensor of the job.
 
-    Raises `FtcalError` with one line that a user can act on; nothing is written.
+    `where` pairs the recordings (default: here, one by one); on the `shelf` they are kept and found
+    again. Raises `FtcalError` with one line that a user can act on.
+    """
+    robot, channels = described(job)
+    steps = Steps(progress, 1 + len(job.recordings) + len(channels) * (1 + job.fit.folds))
+    takes = paired_takes(job, robot, channels, where=where or Here(), shelf=shelf, steps=steps)
+    return fitted(job, robot, channels, takes, steps)
+
+
+def described(job: Job) -> tuple[Robot, list[FtChannel]]:
+    """Return the robot and the sensors of a job.
+
+    Raises `FtcalError` where they, or the contacts of a recording, make no sense.
     """
     robot = read_robot(job.path(job.robot))
     channels = [ft_channel(job, robot, section) for section in job.sensors]
     check_contacts(job, robot, channels)
-    takes = len(job.recordings)
-    steps = Steps(progress, takes + len(channels) * (takes + 1 + job.fit.folds))
-    recordings = Takes.read(job, robot, channels, steps)
-    job, recordings = segmented(job, robot, channels, recordings, steps)
-    findings = recordings.findings
-    outcomes = [
-        calibrate_sensor(job, robot, channel, recordings, findings, steps) for channel in channels
-    ]
+    return robot, channels
+
+
+def fitted(
+    job: Job,
+    robot: Robot,
+    channels: Sequence[FtChannel],
+    takes: Sequence[PairedTake],
+    steps: Steps,
+) -> Outcome:
+    """Return the calibration of every sensor from the paired recordings of a job, in its order.
+
+    Raises `DataError` where a sensor has nothing to train on, or nothing to be tested on.
+    """
+    outcomes = [calibrate_sensor(job, robot, channel, takes, steps) for channel in channels]
     steps.begin("writing")
     calibration = Calibration(
         robot=robot.name,
         sensors=[sensor_calibration(job, outcome) for outcome in outcomes],
-        provenance=provenance(job, robot, [recording.digest for recording in recordings.outlines]),
+        provenance=provenance(job, robot, [take.outline.digest for take in takes]),
     )
-    return Outcome(job, robot, recordings, recordings.flat, tuple(outcomes), calibration)
+    sections = tuple(map(PairedTake.section, takes, job.recordings))
+    return Outcome(
+        job.model_copy(update={"recordings": sections}),
+        robot,
+        tuple(take.outline for take in takes),
+        Logs(job),
+        tuple((take.outline.name, finding) for take in takes for finding in take.findings),
+        tuple(outcomes),
+        calibration,
+    )
 
 
 def ft_channel(job: Job, robot: Robot, section: SensorSection) -> FtChannel:

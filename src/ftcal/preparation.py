@@ -6,15 +6,16 @@ study of the same logs, with other penalties or other training sets, does not re
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from pathlib import Path
+from typing import Any, TypeVar
 
 from ftcal import __version__, logs
 from ftcal.archive import Shelf
 from ftcal.balances import Balance, balances
 from ftcal.config import Job, RecordingSection
-from ftcal.errors import DataError, JobError, OutputError
+from ftcal.errors import DataError, OutputError
 from ftcal.firmware import estimate_full_scale
 from ftcal.health import examine, logs_counts
 from ftcal.logs.columns import digest, file_sha256
@@ -25,6 +26,9 @@ from ftcal.pairing import FtChannel, one_sided
 from ftcal.recording import Finding, Recording, Signal
 from ftcal.robot import Robot
 from ftcal.samples import Samples
+from ftcal.takes import log_of
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -72,16 +76,21 @@ def prepare(
 
     Raises `FtcalError` where the log cannot be read or a sensor's wrench cannot be known in it.
     """
-    path = job.path(section.log)
-    if not path.exists():
-        raise JobError(f"{job.file}: no log at {section.log}; paths are relative to the job")
     if shelf is None:
         return _made(job, robot, channels, section)
     place = shelf.place(ingredients(job, robot, channels, section))
+    return shelved(shelf, place, Prepared, lambda: _made(job, robot, channels, section))
+
+
+def shelved(shelf: Shelf, place: Path, kind: type[T], make: Callable[[], T]) -> T:
+    """Return what lies at `place` of a shelf, made and put there where nothing of its kind does.
+
+    Raises `OutputError` where the shelf cannot be written.
+    """
     kept = shelf.find(place)
-    if isinstance(kept, Prepared):
+    if isinstance(kept, kind):
         return kept
-    made = _made(job, robot, channels, section)
+    made = make()
     try:
         shelf.put(place, made)
     except OutputError as error:
@@ -96,7 +105,7 @@ def ingredients(
     job: Job, robot: Robot, channels: Sequence[FtChannel], section: RecordingSection
 ) -> dict[str, Any]:
     """Return all that a prepared recording is made from, as plain JSON."""
-    path = job.path(section.log)
+    path = log_of(job, section)
     path = path.parent if path.name == SAMPLES else path
     files = sorted(p for p in path.rglob("*") if p.is_file()) if path.is_dir() else [path]
     return {
@@ -127,7 +136,7 @@ def ingredients(
 def _made(
     job: Job, robot: Robot, channels: Sequence[FtChannel], section: RecordingSection
 ) -> Prepared:
-    recording = logs.read(job.path(section.log), section.layout(), name=section.label)
+    recording = logs.read(log_of(job, section), section.layout(), name=section.label)
     firmware = {c.signal: c.workbench.firmware for c in channels}
     findings = (*recording.findings, *examine(recording, sensors=firmware, robot=robot))
     switches = section.label == job.study.switching

@@ -18,6 +18,7 @@ import numpy as np
 
 from ftcal.all_sensors import balanced
 from ftcal.balance_steps import unrest_in_balances
+from ftcal.balances import Balance
 from ftcal.config import Job, RecordingSection
 from ftcal.errors import DataError, RobotError
 from ftcal.one_sensor import chosen, pair_recording
@@ -25,6 +26,7 @@ from ftcal.pairing import FtChannel, Windows
 from ftcal.progress import Steps
 from ftcal.recording import Finding, Recording
 from ftcal.robot import Robot
+from ftcal.step_search import KAPPA
 from ftcal.steps import Unrest, unrest_of
 from ftcal.takes import Takes
 from ftcal.terms import Frame, ModelPrior
@@ -87,12 +89,42 @@ def _resolved(
                                      + (c.temperature is not None)) for c in channels}  # fmt: skip
         model = ModelPrior(mass=job.whole_body.mass, com=job.whole_body.com)
         breaks = {s: known.known_breaks.get(name, ()) for s, name in names.items()}
-        for sensor, found in unrest_in_balances(
+        more = unrest_in_balances(
             parts, channels, frames, smoothing=job.whole_body.smoothing, model=model, breaks=breaks
-        ).items():
-            unrest.setdefault(sensor, []).append(found)
+        )
+        for sensor, found in more.items():
+            so_far = unrest.setdefault(sensor, [])
+            so_far.append(found)
+            unrest[sensor] = [settling(one, load_range(parts, frames, sensor)) for one in so_far]
     signals = {channel.sensor: channel.signal for channel in channels}
     return with_unrest(section, unrest, names), tuple(as_findings(unrest, signals))
+
+
+def load_range(
+    balances: Iterable[Balance], frames: Mapping[str, Frame], sensor: str
+) -> tuple[float, float]:
+    """Return the range of the forces [N] and the torques [Nm] that a sensor carries."""
+    gain = frames[sensor].workbench.gain
+    inputs = [one.inputs[sensor][:, : gain.shape[1]] for one in balances if sensor in one.inputs]
+    force, torque = np.split(np.ptp(np.concatenate(inputs) @ gain.T, axis=0), 2)
+    return float(np.linalg.norm(force)), float(np.linalg.norm(torque))
+
+
+def settling(unrest: Unrest, load: tuple[float, float]) -> Unrest:
+    """Return what disturbed a sensor, with small steps apart: left out, but with no new offset.
+
+    An offset wrong by d over a range of loads L bends the matrix by d / L. Where that is less than
+    a mounting bends it, what one offset says of light and heavy loads together is worth more.
+    """
+    steps, small = [], list(unrest.small)
+    for step in unrest.steps:
+        size = [float(np.linalg.norm(half)) for half in np.split(step.size, 2)]
+        if any(d > KAPPA * whole for d, whole in zip(size, load, strict=True)):
+            steps.append(step)
+        else:
+            message = f"{step.message}; little beside its load: no offset of its own"
+            small.append(replace(step, message=message))
+    return Unrest(tuple(steps), unrest.touches, tuple(small))
 
 
 def windows_of(section: RecordingSection) -> Windows:
@@ -124,7 +156,7 @@ def with_unrest(
     for sensor, some in unrest.items():
         name = names[sensor]
         times = sorted({round(step.time, DIGITS) for one in some for step in one.steps})
-        spans = [step.unsettled for one in some for step in one.steps]
+        spans = [step.unsettled for one in some for step in (*one.steps, *one.small)]
         spans += [(touch.start, touch.stop) for one in some for touch in one.touches]
         if times:
             breaks[name] = tuple(times)
@@ -144,7 +176,7 @@ def as_findings(
     for sensor, some in unrest.items():
         signal = signals[sensor]
         for one in some:
-            for step in one.steps:
+            for step in (*one.steps, *one.small):
                 yield Finding("offset step", signal, *step.unsettled, False, step.message)
             for touch in one.touches:
                 yield Finding("touch", signal, touch.start, touch.stop, False, touch.message)

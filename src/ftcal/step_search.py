@@ -93,8 +93,8 @@ class StepFit:
         for _ in range(ROUNDS):
             repeat, variance = np.ones_like(sd), np.zeros_like(sd)
             for part in problem.parts:
-                columns, left = fit.solved(part)[1:]
-                spent = (np.linalg.qr(fit.held(part, columns))[0][: len(columns)] ** 2).sum(axis=1)
+                _, left, basis = fit.solved(part)
+                spent = (basis**2).sum(axis=1)
                 for group in np.unique(part.group):
                     mine = part.group == group
                     count = int(mine.sum())
@@ -115,14 +115,14 @@ class StepFit:
 
     def solved(
         self, part: Part
-    ) -> tuple[Float[Array, "Q"], Float[Array, "R Q"], Float[Array, "R"]]:
-        """Return the unknowns of one part, its columns and what they leave over."""
+    ) -> tuple[Float[Array, "Q"], Float[Array, "R"], Float[Array, "R Q"]]:
+        """Return the unknowns of one part, what they leave over, and the basis of their columns."""
         columns = self.problem.columns(part, self.events)
-        held = self.held(part, columns)
-        target = np.zeros(len(held))
-        target[: len(columns)] = part.target / np.sqrt(self.power[part.group])
-        found = np.linalg.lstsq(held, target, rcond=None)[0]
-        return found, columns, part.target - columns @ found
+        basis, triangle = np.linalg.qr(self.held(part, columns))
+        basis = basis[: len(columns)]
+        seen = basis.T @ (part.target / np.sqrt(self.power[part.group]))
+        found = np.linalg.lstsq(triangle, seen, rcond=None)[0]
+        return found, part.target - columns @ found, basis
 
     def known(self, events: Iterable[Event]) -> list[Known]:
         """Return every part without what some events explain."""
@@ -207,8 +207,8 @@ class StepFit:
         owns = [1 if event.tau is None else 2 for event in self.events]
         stays, relaxes, covariance = [], [], []
         for part in self.problem.parts:
-            unknowns, columns, _ = self.solved(part)
-            held = self.held(part, columns)
+            unknowns = self.solved(part)[0]
+            held = self.held(part, self.problem.columns(part, self.events))
             inverse = np.linalg.pinv(held.T @ held, hermitian=True)
             width = part.levers[0].shape[1]
             at = part.rows.shape[1] + width * np.cumsum([0, *owns])[:count].astype(int)

@@ -71,6 +71,8 @@ class Unrest:
 
     steps: tuple[Step, ...] = ()
     touches: tuple[Touch, ...] = ()
+    small: tuple[Step, ...] = ()
+    """Steps that are no reason for an offset of its own; they unsettle all the same."""
 
 
 def all_steps(

@@ -55,7 +55,8 @@ class Suspicion:
                  if name not in in_the_log),
                 np.zeros_like(one.required),
             )  # fmt: skip
-            found.append(replace(one, required=required, model_errors=mine))
+            taken = {name: self.believed[name] for name in mine if name in self.believed}
+            found.append(replace(one, required=required, model_errors=mine, taken_on=taken))
         return replace(bench.take, balances=tuple(found))
 
     def _zeros(self) -> Iterator[tuple[str, float]]:

@@ -1,26 +1,74 @@
 """The recordings of a job, in memory while they are small together, else read again.
 
-A fit needs sums of a recording, a report its outline; hours of a humanoid do not fit into memory
-side by side, and need not.
+A fit needs the usable samples of a recording, a report its outline; hours of a humanoid do not fit
+into memory side by side, and need not.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import overload
+from pathlib import Path
+from typing import TYPE_CHECKING, overload
 
 from ftcal import logs
 from ftcal.config import Job, RecordingSection
 from ftcal.errors import JobError
 from ftcal.health import examine
-from ftcal.pairing import FtChannel
+from ftcal.pairing import FtChannel, Paired
 from ftcal.progress import Steps
 from ftcal.recording import Finding, Recording
 from ftcal.robot import Robot
 
+if TYPE_CHECKING:
+    from jaxtyping import Float
+    from numpy import ndarray as Array
+
 KEPT = 128 * 1024**2
 """Bytes of recordings that are kept in memory."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PairedTake:
+    """One recording as a calibration of single sensors needs it, and no more."""
+
+    outline: Recording
+    """With the first and last sample of every signal only."""
+    findings: tuple[Finding, ...]
+    """What is wrong with it."""
+    breaks: dict[str, tuple[float, ...]]
+    """Seconds at which the offset of a sensor steps, given or found."""
+    leave_out: dict[str, tuple[tuple[float, float], ...]]
+    """Seconds in which a sensor is not trained on, given or found."""
+    temperatures: dict[str, Float[Array, "N"]]
+    """All readings of the thermometer of every sensor that has one [degree Celsius]."""
+    sensors: dict[str, Paired]
+    """Usable samples of every sensor, their temperature counted from zero."""
+
+    def section(self, given: RecordingSection) -> RecordingSection:
+        """Return the recording's section of the job with what was found in it."""
+        return given.model_copy(update={"breaks": self.breaks, "leave_out": self.leave_out})
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Logs(Mapping[str, Recording]):
+    """The recordings of a job by name, each read when it is looked at; the latest is kept."""
+
+    job: Job
+    latest: dict[str, Recording] = field(default_factory=dict, repr=False)
+
+    def __getitem__(self, name: str) -> Recording:
+        if name not in self.latest:
+            section = {section.label: section for section in self.job.recordings}[name]
+            self.latest.clear()
+            self.latest[name] = _read(self.job, section)
+        return self.latest[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return (section.label for section in self.job.recordings)
+
+    def __len__(self) -> int:
+        return len(self.job.recordings)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -84,9 +132,14 @@ class Takes(Sequence[Recording]):
         return (self[i] for i in range(len(self)))
 
 
-def _read(job: Job, section: RecordingSection) -> Recording:
-    """Return one recording of a job."""
+def log_of(job: Job, section: RecordingSection) -> Path:
+    """Return where the log of a recording lies; `JobError` where it is missing."""
     path = job.path(section.log)
     if not path.exists():
         raise JobError(f"{job.file}: no log at {section.log}; paths are relative to the job")
-    return logs.read(path, section.layout(), name=section.label)
+    return path
+
+
+def _read(job: Job, section: RecordingSection) -> Recording:
+    """Return one recording of a job."""
+    return logs.read(log_of(job, section), section.layout(), name=section.label)

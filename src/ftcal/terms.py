@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -115,8 +115,9 @@ class Terms:
     """Per cell of about a second and equation: mean of `[features, target]`."""
     weights: Float[Array, "B"]
     """What each sample of a cell counts."""
-    model_errors: tuple[str, ...] = ()
-    """Suspected errors of the model, whose features are the last."""
+    model_errors: Mapping[str, float] = field(default_factory=dict)
+    """Suspected errors of the model, whose features are the last, and what the balance takes on of
+    each already, in standard deviations of their prior."""
 
     def squares(self, unknowns: Float[Array, "D-1"]) -> Float[Array, "E"]:
         """Return the sum of squared residuals per equation [N^2, Nm^2]."""
@@ -173,7 +174,8 @@ def _sum(
     model: ModelPrior,
     weights: Float[Array, "B"] | None,
 ) -> Terms:
-    sensors, suspected = tuple(balance.inputs), tuple(balance.model_errors)
+    sensors = tuple(balance.inputs)
+    suspected = {name: balance.taken_on.get(name, 0.0) for name in balance.model_errors}
     width = sum(frames[name].unknowns + 6 for name in sensors) + MODEL + len(suspected) + 1
     equations = balance.equations
     span = balance.time[-1] - balance.time[0]

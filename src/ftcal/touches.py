@@ -37,7 +37,7 @@ def touched(fit: StepFit) -> dict[str, tuple[Span, ...]]:
     blocks = fit.problem.blocks
     left = np.full((len(blocks.start), len(fit.sd)), np.nan)
     for part in fit.problem.parts:
-        left[part.block, part.group] = fit.solved(part)[2]
+        left[part.block, part.group] = fit.solved(part)[1]
     found = {}
     for owner in dict.fromkeys(fit.problem.owners):
         mine = np.flatnonzero([name == owner for name in fit.problem.owners])

@@ -18,7 +18,7 @@ wrong, and so the data too much where the model of the robot is off.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Literal
 
@@ -76,8 +76,9 @@ class Unknowns:
     """Sub-models, whose mass and centre of mass are unknown too."""
     offsets: tuple[tuple[str, Segment], ...]
     """Sensor and segment of every offset."""
-    model_errors: tuple[str, ...] = ()
-    """Suspected errors of the model, in standard deviations of their prior."""
+    model_errors: Mapping[str, float] = field(default_factory=dict)
+    """Suspected errors of the model and how much of each the balances take on already, in standard
+    deviations of their prior; the unknown is what they do not."""
 
     @staticmethod
     def of(terms: Sequence[Terms], frames: Mapping[str, Frame]) -> Unknowns:
@@ -86,7 +87,7 @@ class Unknowns:
         seen = {name for name, _ in offsets}
         models = tuple(dict.fromkeys(one.sub_model for one in terms))
         known = {name: frame for name, frame in frames.items() if name in seen}
-        suspected = tuple(dict.fromkeys(name for one in terms for name in one.model_errors))
+        suspected = {name: taken for one in terms for name, taken in one.model_errors.items()}
         return Unknowns(known, models, tuple(sorted(offsets)), suspected)
 
     @cached_property
@@ -126,7 +127,7 @@ class Unknowns:
 
     def model_error(self, name: str) -> int:
         """Return where a suspected error of the model stands."""
-        return self.prior + MODEL * len(self.models) + self.model_errors.index(name)
+        return self.prior + MODEL * len(self.models) + list(self.model_errors).index(name)
 
     def precision(self, kappa: float) -> Float[Array, "U U"]:
         """Return the precision of the unknowns before any data.
@@ -220,9 +221,14 @@ class Normal:
         return sum((noise[g].weight * A for g, A in self.products.items()), np.zeros((size, size)))
 
     def pull(self, noise: Mapping[Group, GroupNoise]) -> Float[Array, "U"]:
-        """Return the right-hand side."""
-        size = self.unknowns.count
-        return sum((noise[g].weight * b for g, b in self.targets.items()), np.zeros(size))
+        """Return the right-hand side, that of the prior included.
+
+        Nought is where the prior has an error of the model: what the balances take on pulls back.
+        """
+        before = np.zeros(self.unknowns.count)
+        for name, taken in self.unknowns.model_errors.items():
+            before[self.unknowns.model_error(name)] = -taken
+        return sum((noise[g].weight * b for g, b in self.targets.items()), before)
 
     def squared(self, group: Group, theta: Float[Array, "U"]) -> float:
         """Return the sum of squared residuals of a group [N^2, Nm^2]."""

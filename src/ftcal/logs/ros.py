@@ -114,7 +114,7 @@ def _content(path: Path, bag: ros_files.Bag, layout: Layout) -> _Content:
 def _kind(topic: Topic, layout: Layout) -> Kind | None:
     """Return how `topic` is read, or None where it is not."""
     said = {**layout.joints, **layout.imus, **layout.channels}
-    if topic.wire not in ("cdr", "ros1") or said.get(topic.name, ("",)) == ():
+    if topic.wire not in ("cdr", "ros1") or not said.get(topic.name, ("",)):
         return None
     kind = KINDS.get(topic.kind)
     if topic.name in layout.channels:

@@ -10,14 +10,14 @@ Source: OMG DDS-XTypes 1.3, 7.4.3 (plain CDR); ROS 1 wiki, msg, Serialization.
 from __future__ import annotations
 
 import struct
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 if TYPE_CHECKING:
-    from jaxtyping import Bool, Int, Shaped, UInt8, UInt64
+    from jaxtyping import Bool, Float, Int, Shaped, UInt8, UInt64
     from numpy import ndarray as Array
 
 _LITTLE_ENDIAN = b"\x00\x01"
@@ -47,6 +47,11 @@ class Place:
     """NumPy's code of the number."""
     count: int
 
+    @property
+    def stop(self) -> int:
+        """The byte behind the last number."""
+        return self.offset + self.count * np.dtype(self.code).itemsize
+
 
 @dataclass(frozen=True, slots=True)
 class ByteLayout:
@@ -65,20 +70,30 @@ class ByteLayout:
 
     def agrees(self, words: UInt64[Array, "N W"]) -> Bool[Array, "N"]:
         """Return which messages are packed like the first."""
-        held = np.flatnonzero(self.fixed)
-        span = slice(int(held[0]), int(held[-1]) + 1) if len(held) else slice(0, 0)
-        differ = words[:, span] ^ self.first[span]
-        differ &= self.fixed[span]
-        if not differ.any():  # nearly always, and four times as fast as row by row
-            return np.ones(len(words), dtype=bool)
-        return np.asarray(~differ.any(axis=1))
+        every = np.bitwise_and.reduce(words, axis=0), np.bitwise_or.reduce(words, axis=0)
+        if not any(((bits ^ self.first) & self.fixed).any() for bits in every):
+            return np.ones(len(words), dtype=bool)  # nearly always, and far from row by row
+        return np.asarray(~((words ^ self.first) & self.fixed).any(axis=1))
 
     def read(self, words: UInt64[Array, "N W"], path: str) -> Shaped[Array, "N K"]:
         """Return the numbers of the field at `path`, one row a message."""
-        place = self.places[path]
-        stop = place.offset + place.count * np.dtype(place.code).itemsize
-        part = np.ascontiguousarray(words.view(np.uint8)[:, place.offset : stop])
-        return part.view(place.code)
+        return _read(words, self.places[path])
+
+    def table(self, words: UInt64[Array, "N W"], paths: Sequence[str]) -> Float[Array, "N K"]:
+        """Return the numbers of several fields side by side; neighbours are read in one go."""
+        joined: list[Place] = []
+        for place in (self.places[path] for path in paths):
+            if joined and joined[-1].stop == place.offset and joined[-1].code == place.code:
+                joined[-1] = replace(joined[-1], count=joined[-1].count + place.count)
+            else:
+                joined.append(place)
+        parts = [_read(words, place) for place in joined]
+        return (parts[0] if len(parts) == 1 else np.hstack(parts)).astype(np.float64, copy=False)
+
+
+def _read(words: UInt64[Array, "N W"], place: Place) -> Shaped[Array, "N K"]:
+    part = np.ascontiguousarray(words.view(np.uint8)[:, place.offset : place.stop])
+    return part.view(place.code)
 
 
 def whole_words(
@@ -91,7 +106,8 @@ def whole_words(
     width = -(-length // 8) * 8
     # every byte begins a window; taking windows copies each message in one go
     windows = np.ndarray((len(buffer) - width + 1,), f"V{width}", buffer, strides=(1,))
-    return windows[starts - (width - length)].view(np.uint64).reshape(len(starts), -1)
+    words: UInt64[Array, "N W"] = windows[starts - (width - length)].view(np.uint64)
+    return words.reshape(len(starts), -1)
 
 
 def learn(message: bytes, kind: str, definitions: Mapping[str, Any], *, wire: str) -> ByteLayout:
@@ -150,7 +166,7 @@ class _Walk:
             case "BASE":
                 self.numbers(inner[0], 1, path)
             case "ARRAY":
-                self.several(*inner, path)
+                self.several(inner[0], inner[1], path)
             case _:  # a sequence: its count comes first
                 start = self.align(4)
                 count = self.count()

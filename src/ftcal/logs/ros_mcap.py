@@ -46,6 +46,9 @@ _TAKEN = ("channel", "length", "log")
 _BEHIND = _HEAD.itemsize - _RECORD.size
 """Bytes of the head that the length of the record counts."""
 
+_Found = tuple[np.ndarray, np.ndarray]
+"""Where messages begin, and their heads."""
+
 _LOOSE = 1 << 20
 """Bytes of messages outside of chunks that are taken together."""
 
@@ -96,7 +99,7 @@ class McapFile:
     def _sections(self, file: IO[bytes], size: int) -> Iterator[_Section]:
         """Return the content of each chunk with the records of its index."""
         chunk, loose, at, opcode = _Section(b""), bytearray(), len(MAGIC), 0
-        while opcode not in (_FOOTER,) and size - at >= _RECORD.size:
+        while opcode != _FOOTER and size - at >= _RECORD.size:
             head = file.read(_RECORD.size)
             opcode, length = _RECORD.unpack(head)
             at += _RECORD.size + length
@@ -138,10 +141,9 @@ class McapFile:
     def _section(self, section: _Section, wanted: Callable[[Topic], bool]) -> Iterator[Batch]:
         """Return the wanted messages of one chunk, topic by topic."""
         content, buffer = section.content, np.frombuffer(section.content, np.uint8)
-        offsets = self._indexed(content, buffer, section.index)
-        if offsets is None:
-            offsets = np.array(self._walk(content, 0, len(content)), dtype=np.int64)
-        heads = _heads(buffer, offsets)
+        offsets, heads = self._indexed(content, buffer, section.index) or _all(
+            buffer, self._walk(content, 0, len(content))
+        )
         channels, after, log = (heads[name].astype(np.int64) for name in _TAKEN)
         for channel in np.flatnonzero(np.bincount(channels)).tolist():
             if channel not in self._topics:
@@ -157,8 +159,8 @@ class McapFile:
 
     def _indexed(
         self, content: bytes, buffer: Shaped[Array, "B"], index: list[bytes]
-    ) -> Int[Array, "N"] | None:
-        """Return where messages begin by the index, or None where it does not cover the chunk."""
+    ) -> _Found | None:
+        """Return the messages that the index lists, or None where it does not cover the chunk."""
         entries = [np.frombuffer(record, "<u8", offset=6) for record in index if len(record) >= 6]
         offsets = np.concatenate([np.empty(0, "<u8"), *(entry[1::2] for entry in entries)])
         if not len(offsets) or offsets.max() > len(content) - _HEAD.itemsize:
@@ -174,7 +176,7 @@ class McapFile:
         for gap in np.flatnonzero(begins > ends).tolist():
             if self._walk(content, int(ends[gap]), int(begins[gap])):
                 return None
-        return starts
+        return starts, heads
 
     def _walk(self, content: bytes, at: int, stop: int) -> list[int]:
         """Return where messages begin in records [at, stop), and learn of schemas and channels."""
@@ -204,16 +206,22 @@ class McapFile:
         channel = Channel.read(stream)
         schema = self._schemas.get(channel.schema_id)
         language = schema.encoding if schema else ""
-        self._topics[channel.id] = Topic(
+        topic = self._topics[channel.id] = Topic(
             channel.topic,
             full_kind(schema.name) if schema else "unknown",
             schema.data.decode() if schema and language in _LANGUAGES else "",
             language,
             channel.message_encoding,
         )
+        self.counts[topic] += 0  # a topic that stays empty is told too
 
 
 _LANGUAGES = frozenset({"ros1msg", "ros2msg", "ros2idl"})
+
+
+def _all(buffer: Shaped[Array, "B"], offsets: list[int]) -> _Found:
+    starts = np.array(offsets, dtype=np.int64)
+    return starts, _heads(buffer, starts)
 
 
 def _heads(buffer: Shaped[Array, "B"], offsets: Int[Array, "N"]) -> Shaped[Array, "N"]:
@@ -222,4 +230,5 @@ def _heads(buffer: Shaped[Array, "B"], offsets: Int[Array, "N"]) -> Shaped[Array
         return np.empty(0, _HEAD)
     every = np.ndarray((len(buffer) - _HEAD.itemsize + 1,), f"V{_HEAD.itemsize}", buffer,
                        strides=(1,))  # fmt: skip
-    return every[offsets].view(_HEAD)
+    heads: Shaped[Array, "N"] = every[offsets].view(_HEAD)
+    return heads

@@ -210,11 +210,10 @@ class Decoder:
         if kind.stamped:
             sec, nanosec = (layout.read(words, path)[:, 0].astype(np.int64) for path in _STAMP)
             stamps = sec * NANOSECONDS + nanosec
-        columns = [layout.read(words, path) for path in kind.values]
         withheld = np.zeros(len(words), dtype=bool)
         for path in kind.withheld:
             withheld |= layout.read(words, path)[:, 0] == -1.0
-        values = np.hstack(columns).astype(np.float64)
+        values = layout.table(words, kind.values)
         return Piece(form.names, form.frame, stamps, arrival, values, withheld)
 
     def _learn(self, message: bytes) -> _Form | None:

@@ -34,7 +34,7 @@ def inflate(packed: bytes, method: str, size: int, where: str) -> bytes:
     if not 0 <= size <= limit(len(packed)):
         raise LogError(f"{where} claims {size} bytes in {len(packed)}; the file is damaged")
     if method == "lz4":
-        from lz4.frame import LZ4FrameDecompressor
+        from lz4.frame import LZ4FrameDecompressor  # type: ignore[import-untyped]
 
         content = LZ4FrameDecompressor().decompress(packed, max_length=size + 1)
     elif method == "zstd":
@@ -45,7 +45,7 @@ def inflate(packed: bytes, method: str, size: int, where: str) -> bytes:
         raise LogError(f"{where} is compressed with {method!r}; rewrite it with zstd or lz4")
     if len(content) != size:
         raise LogError(f"{where} holds {len(content)} bytes, not {size}; the file is damaged")
-    return content
+    return bytes(content)
 
 
 def inflated(messages: Batch, where: str) -> Batch:

@@ -88,10 +88,10 @@ def _load(file: Path, layout: Layout) -> _Table:
                 table, first_row = load_npz(file, layout), 1
             else:
                 table, first_row = load_csv(file, layout), 2
+            names = table.column_names  # decodes them
     except (pa.ArrowException, OSError, ValueError) as error:
         reason = (str(error).splitlines() or [type(error).__name__])[0][:200]
         raise LogError(f"{file}: not a readable table: {reason}") from error
-    names = table.column_names
     if twice := [name for name, count in Counter(names).items() if count > 1]:
         raise LogError(f"{file}: column {twice[0]!r} appears {names.count(twice[0])} times; rename")
     if layout.time not in names:

@@ -95,16 +95,13 @@ class Writer:
 
     def _append(self, made: Path, signals: list[Signal]) -> None:
         """Append signals of one clock to the file `made`, which the first to come opens."""
-        clock, names = signals[0], tuple(signal.name for signal in signals)
+        names = tuple(signal.name for signal in signals)
         known = self._files.get(made.name)
-        apart = [s.name for s in signals[1:] if not np.array_equal(s.stamps, clock.stamps)]
-        if known is not None and known.signals != names:
-            apart += sorted(set(known.signals) ^ set(names))
-        if apart:
-            raise OutputError(
-                f"{self._path}: signals {clock.name!r} and {apart[0]!r} have clocks of their own;"
-                " give a folder"
-            )
+        for signal in signals[1:]:
+            if not np.array_equal(signal.stamps, signals[0].stamps):
+                raise self._apart(names[0], signal.name)
+        if known is not None and (odd := sorted(set(known.signals) ^ set(names))):
+            raise self._apart(*odd, *known.signals, *names)
         table = self._table(made, signals)
         if known is None:
             known = self._files[made.name] = _File(
@@ -121,6 +118,13 @@ class Writer:
         time = _CLOCKS[made.suffix.lower()](np.ascontiguousarray(signals[0].stamps))
         numbers = [pa.array(np.ascontiguousarray(column)) for column in columns.values()]
         return pa.table([time, *numbers], names=[_TIME, *columns])
+
+    def _apart(self, *names: str) -> OutputError:
+        first, second, *_ = dict.fromkeys(names)
+        return OutputError(
+            f"{self._path}: signals {first!r} and {second!r} have clocks of their own;"
+            " give a folder"
+        )
 
     def _refused(self, error: Exception) -> OutputError:
         reason = getattr(error, "strerror", None) or error

@@ -19,8 +19,8 @@ from ftcal.errors import LogError
 from ftcal.logs.layout import Layout
 from ftcal.logs.tables_csv import load_csv
 
-BLOCK = 4 << 20
-"""Bytes of a CSV file that are parsed at a time."""
+BLOCK = 1 << 20
+"""Bytes of a CSV file that are parsed at a time; Arrow reads 32 of them ahead."""
 _HEAD = 1 << 18  # bytes from which the types of a CSV file are told, as `tables_csv` does
 _BUFFER = 1 << 20  # bytes of each column that are read ahead: else a row group comes whole
 

@@ -48,7 +48,7 @@ def html(outcome: Outcome, truth: Mapping[str, Float[Array, "6 K"]] | None = Non
             number,
             sensor,
             outcome.calibration.sensor(sensor.sensor.name),
-            {recording.name: recording for recording in outcome.recordings},
+            outcome.logs,
             (truth or {}).get(sensor.sensor.name),
             album,
         )

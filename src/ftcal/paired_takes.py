@@ -1,0 +1,179 @@
+"""Every recording of a job beside its model, one by one, wherever there is a processor for it.
+
+What a recording says of single sensors depends on no other recording: it can be read, examined,
+searched for steps of offsets and paired on any machine that sees its log. On a shelf the result is
+found again as long as nothing that made it has changed.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+
+from ftcal.archive import Shelf
+from ftcal.compute import Executor, Failure
+from ftcal.config import Job, RecordingSection
+from ftcal.errors import DataError, FtcalError, LogError
+from ftcal.one_sensor import pair_recording
+from ftcal.pairing import Attitude, FtChannel, Paired
+from ftcal.preparation import ingredients, shelved
+from ftcal.progress import Steps, silent
+from ftcal.recording import Finding, Recording, Signal
+from ftcal.robot import Robot
+from ftcal.samples import Samples
+from ftcal.segmentation import segmented
+from ftcal.takes import PairedTake, Takes
+from ftcal.urdf import read_robot
+
+KINDS = {kind.__name__: kind for kind in (PairedTake, Recording, Signal, Finding, Paired, Samples,
+                                          Attitude)}  # fmt: skip
+"""What a shelf of paired recordings may hold."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Work:
+    """One recording that is to be paired; small, for it travels."""
+
+    job: Job
+    """With this recording alone."""
+    robot: str
+    """Digest of the robot description that the job names."""
+    channels: tuple[FtChannel, ...]
+    shelf: Shelf | None
+    """Where the result is kept and found again."""
+
+    @property
+    def section(self) -> RecordingSection:
+        """What the job says of the recording."""
+        return self.job.recordings[0]
+
+    def place(self, shelf: Shelf) -> Path:
+        """Return where on a shelf the result lies or will lie; `LogError` without a log to read."""
+        robot = known_robot(self.job.path(self.job.robot), self.robot)
+        try:
+            made_from = ingredients(self.job, robot, self.channels, self.section)
+        except OSError as error:
+            raise LogError(f"{error.filename}: cannot be read ({error.strerror})") from error
+        return shelf.place({**made_from, "paired": self.job.fit.offset})
+
+
+def work_of(
+    job: Job, robot: Robot, channels: Sequence[FtChannel], shelf: Shelf | None
+) -> dict[str, Work]:
+    """Return the recordings of a job as work, by name."""
+    return {
+        section.label: Work(
+            job.model_copy(update={"recordings": (section,)}), robot.digest, tuple(channels), shelf
+        )
+        for section in job.recordings
+    }
+
+
+@lru_cache(maxsize=8)
+def known_robot(path: Path, digest: str) -> Robot:
+    """Return a robot, read once in a process: a kernel is compiled for each that is read."""
+    robot = read_robot(path)
+    if robot.digest != digest:
+        raise DataError(f"{path}: changed while its recordings were being paired; start again")
+    return robot
+
+
+def paired_take(work: Work) -> PairedTake:
+    """Return one recording as a calibration needs it.
+
+    Raises `FtcalError` where the log cannot be read or a sensor's wrench cannot be known in it.
+    """
+    if work.shelf is None:
+        return _made(work)
+    return take_at(work.place(work.shelf), work, work.shelf)
+
+
+def take_at(place: Path, work: Work, shelf: Shelf) -> PairedTake:
+    """Return the recording whose place on the shelf is known already; raises as `paired_take`."""
+    return shelved(shelf, place, PairedTake, lambda: _made(work))
+
+
+def _made(work: Work) -> PairedTake:
+    channels, job = work.channels, work.job
+    robot = known_robot(job.path(job.robot), work.robot)
+    quiet = Steps(silent, 1)
+    # kept whatever its size: it is looked at twice, and alone
+    takes = Takes.read(job, robot, channels, quiet, most=sys.maxsize)
+    job, takes = segmented(job, robot, channels, takes, quiet)
+    (section,), (recording,), (findings,) = job.recordings, takes, takes.findings
+    return PairedTake(
+        recording.outline(),
+        findings,
+        dict(section.known_breaks),
+        dict(section.leave_out),
+        {
+            channel.sensor: recording.temperature(channel.temperature).values[:, 0]
+            for channel in channels
+            if channel.temperature is not None
+        },
+        {
+            channel.sensor: pair_recording(
+                job,
+                robot,
+                channel,
+                section,
+                recording,
+                findings,
+                0.0,
+                with_attitude=job.fit.offset == "in situ",
+            )
+            for channel in channels
+        },
+    )
+
+
+def told(work: Work) -> PairedTake | FtcalError:
+    """Return `paired_take(work)`, or what a user can mend, which another process could not raise.
+
+    An error that travels as a value keeps its kind.
+    """
+    try:
+        return paired_take(work)
+    except FtcalError as error:
+        return error
+
+
+def paired_takes(
+    job: Job,
+    robot: Robot,
+    channels: Sequence[FtChannel],
+    *,
+    where: Executor,
+    shelf: Shelf | None,
+    steps: Steps,
+) -> list[PairedTake]:
+    """Return the recordings of a job in order.
+
+    All are tried before any fault is raised: one error, of the kind of the first, names every
+    fault.
+    """
+    steps.begin("pairing recordings")
+    found: dict[str, PairedTake] = {}
+    faults: dict[str, FtcalError] = {}
+    for label, result in where.run(told, work_of(job, robot, channels, shelf)):
+        steps.begin(f"paired {label}")
+        match result:
+            case PairedTake():
+                found[label] = result
+            case Failure():
+                faults[label] = DataError(f"recording {label!r}: {result.reason}")
+            case _:
+                faults[label] = result
+    in_order = [section.label for section in job.recordings]
+    raise_first(faults, in_order)
+    return [found[label] for label in in_order]
+
+
+def raise_first(faults: Mapping[str, FtcalError], in_order: Sequence[str]) -> None:
+    """Raise all faults as one error of the kind of the first; nothing where there is none."""
+    some = [faults[label] for label in in_order if label in faults]
+    if some:
+        raise type(some[0])("; ".join(map(str, some)))
