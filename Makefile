@@ -20,7 +20,7 @@ help:
 	@echo 'make test        style, types, layers, then the tests against the built wheel'
 	@echo 'make lint        style, types and layers only'
 	@echo 'make wheel-test  build the wheel and import every module from it'
-	@echo 'make bench       run every benchmark'
+	@echo 'make bench       every benchmark beside its baseline (BENCH="--only reading", --quick, ...)'
 	@echo 'make golden      rewrite the golden files; read the difference before committing'
 	@echo 'make lock        compile requirements/ from pyproject.toml (UPGRADE=--upgrade for newer)'
 	@echo 'make clean       remove what these commands made'
@@ -60,7 +60,7 @@ paper: .venv/run.stamp
 	$(BIN)/ftcal study examples/paper/job.toml -o ftcal-out/paper
 
 bench: .venv/dev.stamp
-	@set -e; for file in benchmarks/*.py; do echo "== $$file"; $(BIN)/python "$$file"; done
+	$(BIN)/python benchmarks/run.py $(BENCH)
 
 golden: .venv/dev.stamp
 	FTCAL_GOLDEN=update $(BIN)/python -m pytest

@@ -8,6 +8,7 @@ its time there. The loop runs over a few thousand samples and is scaled.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
@@ -51,7 +52,7 @@ def measure(samples: int, rounds: int) -> list[Record]:
         for own, other in [*pairs, (found.torque, torque[:, columns])]:
             if not np.allclose(own, other, rtol=0, atol=1e-8 * abs(other).max()):
                 raise SystemExit("iDynTree disagrees")
-        calls = {
+        calls: dict[str, Callable[[], object]] = {
             "ftcal": partial(ours, motion=motion, readings=readings),
             "iDynTree": partial(loop, few, few_readings),
         }

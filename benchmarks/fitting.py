@@ -74,7 +74,10 @@ def measure(samples: int, rounds: int) -> list[Record]:
     for name, reference in references.items():
         if not np.allclose(found, reference(), rtol=0, atol=1e-8 * abs(gain).max()):
             raise SystemExit(f"{name} finds another matrix")
-    ways = {"from moments": partial(ours, moments), "from samples": from_samples}
+    ways: dict[str, Callable[[], object]] = {
+        "from moments": partial(ours, moments),
+        "from samples": from_samples,
+    }
     times = interleaved({**ways, **references}, rounds)
     size = f"{RECORDINGS} recordings of {samples} samples"
     return [

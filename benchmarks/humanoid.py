@@ -85,6 +85,7 @@ GROUPS = {
     "right leg": ("r_leg", "r_foot"),
 }
 """Sensors over which errors are averaged."""
+COMPARED = ("joint", "Workbench")
 BOTH = {"l_sole", "r_sole"}
 TRAINED = 0.7
 """Share of the last swing of a protocol that is trained on."""
@@ -218,7 +219,7 @@ def judged(job: Job, truth: Mapping[str, Any]) -> Judged:
         for axis, verdict in enumerate(result.verdicts):
             if verdict.word == "ACCEPT":
                 accepted.append((part, AXES[axis]))
-                own, old = (errors[way][part].axes[axis] for way in ("joint", "Workbench"))
+                own, old = (errors[way][part].axes[axis] for way in COMPARED)
                 better += [(part, AXES[axis])] if own < old else []
     kappa = outcome.fit.posterior.kappa
     return Judged(errors, tuple(accepted), tuple(better), kappa)
@@ -273,6 +274,10 @@ def main() -> None:
             f"\n{name}: {better} of {accepted} accepted axes beat the Workbench; kappa"
             f" {strengths[0]:.2g} to {strengths[-1]:.2g}"
         )
+        for seed, one in enumerate(some, told.first):
+            for part, axis in sorted({*one.accepted} - {*one.better}):
+                own, old = (one.errors[way][part].axes[AXES.index(axis)] for way in COMPARED)
+                print(f"  seed {seed}: {part} {axis} {own:.3g}, Workbench {old:.3g}")
         for group in GROUPS:
             for half in (0, 1):
                 print(line(some, group, half))

@@ -6,7 +6,7 @@ the clock starts. Arrays are laid out for iDynTree once a call, not once a sampl
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
 Wrenches = dict[str, "Float[Array, 'N 6']"]
 ExpectedLoop = Callable[[Motion], Wrenches]
+TransformLoop = Callable[[Motion], "list[Float[Array, 'N 6 6']]"]
 ExternalLoop = Callable[[Motion, Wrenches], "tuple[Wrenches, Float[Array, 'N J']]"]
 
 
@@ -113,5 +114,38 @@ def external_loop(
                 wrenches[name][n] = contacts.contactWrench(index, 0).contactWrench.toNumPy()
             torque[n] = torques.toNumPy()
         return wrenches, torque[:, back]
+
+    return run
+
+
+def transform_loop(
+    path: Path, borders: Sequence[tuple[str, str, Float[Array, "4 4"]]], joints: tuple[str, ...]
+) -> TransformLoop:
+    """Return the wrench transforms from the sensor's frame to a link, for each of `borders`.
+
+    A border is the link, the sensor's child link, and the sensor's pose in that.
+    """
+    loader = idyn.ModelLoader()
+    loader.loadModelFromFile(str(path))
+    kinematics = idyn.KinDynComputations()
+    kinematics.loadRobotModel(loader.model())
+    model = kinematics.model()
+    order = [joints.index(model.getJointName(k)) for k in range(model.getNrOfDOFs())]
+    ends = []
+    for link, child, child_H_sensor in borders:
+        rotation = idyn.Rotation.FromPython(child_H_sensor[:3, :3])
+        place = idyn.Position.FromPython(child_H_sensor[:3, 3])
+        frames = model.getFrameIndex(link), model.getFrameIndex(child)
+        ends.append((*frames, idyn.Transform(rotation, place)))
+
+    def run(motion: Motion) -> list[Float[Array, "N 6 6"]]:
+        q = np.ascontiguousarray(motion.position[:, order])
+        found = [np.empty((len(motion), 6, 6)) for _ in ends]
+        for n in range(len(motion)):
+            kinematics.setJointPos(idyn.VectorDynSize.FromPython(q[n]))
+            for X, (link, child, child_H_sensor) in zip(found, ends, strict=True):
+                pose = kinematics.getRelativeTransform(link, child) * child_H_sensor
+                X[n] = pose.asAdjointTransformWrench().toNumPy()
+        return found
 
     return run

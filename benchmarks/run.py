@@ -35,7 +35,7 @@ NAMES = (
 )  # fmt: skip
 """Files of this folder that measure a ratio, in the order of the pipeline."""
 REGRESSION = 0.7
-"""Share of the baseline's ratio below which a ratio is a regression: neighbours move one by less."""
+"""Share of the baseline's ratio below which one is a regression: neighbours move it by less."""
 
 
 def run(name: str, *, quick: bool) -> list[Record] | None:

@@ -327,3 +327,28 @@ def test_microseconds_of_the_ati_files_are_told_by_their_size() -> None:
     assert force.period == pytest.approx(1 / 698, rel=0.01)
     imu = Layout(time="t", imus={"imu": ("ax", "ay", "az")})
     assert read(ATI / "1-baseline_accel.csv", imu).imus[0].values.shape == (1593, 3)
+
+
+def test_whole_numbers_beyond_a_double_are_rounded_not_refused(tmp_path: Path) -> None:
+    file = tmp_path / "log.csv"
+    file.write_text("time,q,nanoseconds\n0.0,1.5,1700000000123456789\n0.1,2,1700000000223456789\n")
+    (joints,) = tables.read(file, Layout()).joints
+    assert joints.columns == ("q", "nanoseconds")
+    assert joints.values[1, 1] == float(1700000000223456789)
+
+
+@pytest.mark.parametrize(
+    ("content", "told"),
+    [
+        (b"time,q\xff\n0.0,1\n", "not a readable table"),
+        (b"time," + b"q" * 140_000 + b"\n0.0,1\n", "its header is none"),
+    ],
+)
+def test_a_header_that_is_none_is_told_in_one_line(
+    content: bytes, told: str, tmp_path: Path
+) -> None:
+    file = tmp_path / "log.csv"
+    file.write_bytes(content)
+    with pytest.raises(LogError, match=told) as error:
+        tables.read(file, Layout())
+    assert "\n" not in str(error.value)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 from io import StringIO
@@ -119,15 +119,22 @@ def tried_on(
 @cache
 def outcome(planted: Planted, seed: int) -> tuple[WholeBody, dict[str, Tried]]:
     """Return the fit that suspects zeros and floor; where there is a load, a payload."""
-    asked: dict[str, Any] = ZEROS_AND_TILT
-    if planted.load:
-        asked = {"payloads": [{"link": "r_foot", "mass": 0.5, "com": 0.05}]}
-    return tried_on(world(planted, seed), job(whole_body=asked))
+    return tried_on(world(planted, seed), described(planted, suspecting=True))
 
 
 @cache
 def unsuspecting(planted: Planted, seed: int) -> WholeBody:
-    return tried_on(world(planted, seed), job())[0]
+    return tried_on(world(planted, seed), described(planted, suspecting=False))[0]
+
+
+def described(planted: Planted, *, suspecting: bool) -> Job:
+    asked: dict[str, Any] = ZEROS_AND_TILT
+    spans: Sequence[tuple[float, float, str]] = SPANS
+    if planted.load:
+        asked = {"payloads": [{"link": "r_foot", "mass": 0.5, "com": 0.05}]}
+        spans = SPANS[:2]  # a foot that stands says nothing of what it carries
+    contacts = [{"start": a, "stop": b, "link": link} for a, b, link in spans]
+    return job([{"contacts": contacts}], whole_body=asked if suspecting else {})
 
 
 def believed(tried: Mapping[str, Tried]) -> set[str]:
@@ -166,14 +173,14 @@ def test_what_was_planted_is_found_and_nothing_else(words: str) -> None:
     assert believed(tried) == {words}
     assert tried[words].gain > DECISIVE
     assert farthest(tried[words], truth) < DISTINCT
-    # measured -62, -57 and -72 %
-    assert tried[words].held_out < -0.4
+    # measured -63, -58 and -42 %
+    assert tried[words].held_out < -0.3
 
 
 @pytest.mark.parametrize(
     ("words", "share"),
-    # measured 0.13, 0.14 and 0.6: what hangs on a foot is light beside what stands on it
-    [("zero of l_knee", 0.25), ("tilt under l_sole in take", 0.25), ("payload at r_foot", 0.8)],
+    # measured 0.14, 0.15 and 0.79: what hangs on a foot is light beside what stands on it
+    [("zero of l_knee", 0.25), ("tilt under l_sole in take", 0.25), ("payload at r_foot", 0.9)],
 )
 def test_matrices_come_nearer_to_the_truth(words: str, share: float) -> None:
     planted, _ = TRUTHS[words]
@@ -215,8 +222,8 @@ def test_two_causes_that_no_reading_tells_apart_are_both_named() -> None:
     one = world(Planted(tilt=(0.0, 0.03)), 1, noise=3e-4)
     contacts = [{"start": 16.0, "stop": 30.0, "link": "l_sole"}]
     windows = [[16, 20], [20.5, 25], [25.5, 30]]
-    described = job([{"contacts": contacts, "train": windows}], whole_body=ZEROS_AND_TILT)
-    _, tried = tried_on(one, described)
+    asked_for = job([{"contacts": contacts, "train": windows}], whole_body=ZEROS_AND_TILT)
+    _, tried = tried_on(one, asked_for)
     # standing on the left foot only, its ankle turns all above it as its floor does
     (words,) = believed(tried) - {"all joint zeros"}
     assert {words, *tried[words].rivals} == {"zero of l_ankle", "tilt under l_sole in take"}
@@ -256,18 +263,18 @@ def test_wrong_masses_are_not_read_as_zeros_or_floors() -> None:
 
 def test_one_stretch_alone_is_no_ground_for_a_claim() -> None:
     spans = [{"start": 16.0, "stop": 30.0, "link": "l_sole"}]
-    described = job([{"contacts": spans, "train": [[16, 26]], "test": [[27, 30]]}],
+    asked_for = job([{"contacts": spans, "train": [[16, 26]], "test": [[27, 30]]}],
                     whole_body=ZEROS_AND_TILT)  # fmt: skip
-    _, tried = tried_on(world(KNEE_OFF, 0), described)
+    _, tried = tried_on(world(KNEE_OFF, 0), asked_for)
     assert not believed(tried)
     assert all(np.isnan(found.held_out) for found in tried.values())
 
 
 @needs_genova02
 def test_real_log_gives_no_evidence_of_any_zero_or_tilt() -> None:
-    described = read_job(WHOLE_JOB)
-    asked = described.whole_body.model_copy(update={"joint_zeros": 0.01, "floor_tilt": 0.01})
-    found = calibrate_whole_body(described.model_copy(update={"whole_body": asked}))
+    asked_for = read_job(WHOLE_JOB)
+    asked = asked_for.whole_body.model_copy(update={"joint_zeros": 0.01, "floor_tilt": 0.01})
+    found = calibrate_whole_body(asked_for.model_copy(update={"whole_body": asked}))
     # measured +0.7 nats at most, the pitch of the right ankle
     assert {one.word for one in found.tried} == {"always", "no evidence"}
     assert max(one.gain for one in found.tried if one.word == "no evidence") < DECISIVE
@@ -281,18 +288,18 @@ def test_real_log_gives_no_evidence_of_any_zero_or_tilt() -> None:
 def test_balances_that_take_on_the_truth_leave_nothing() -> None:
     planted = Planted(zeros=KNEE_OFF.zeros, tilt=TILT, load=LOAD)
     one = world(planted, 0, noise=0.0)
-    described = job(
+    asked_for = job(
         [{"contacts": [{"start": 16.0, "stop": 30.0, "link": "l_sole"}]}],
         whole_body={**ZEROS_AND_TILT, "payloads": [{"link": "r_foot", "mass": 2.0, "com": 0.5}]},
     )
-    accused = suspects(described, WALKER, [one.recording])
+    accused = suspects(asked_for, WALKER, [one.recording])
     sd = {error.name: error.sd for suspect in accused for error in suspect.errors}
     truth = {"zero of l_knee": KNEE}
     for words, (_, values) in TRUTHS.items():
         names = [e.name for s in accused if s.words == words for e in s.errors]
         truth |= dict(zip(names, values.tolist(), strict=True))
     taken = {name: value / sd[name] for name, value in truth.items()}
-    given = (described, WALKER, one.channels, described.recordings[0], one.recording, ())
+    given = (asked_for, WALKER, one.channels, asked_for.recordings[0], one.recording, ())
     guilty = tuple(s for s in accused if s.words in TRUTHS)
     corrected = Suspicion(guilty, taken, unsuspecting(Planted(), 0)).balanced(*given)
     laws = {name: Law(one.gain[name], one.offset[name]) for name in SENSORS}
@@ -355,8 +362,8 @@ def test_axes_of_a_tilt_are_level(gravity: tuple[float, float, float]) -> None:
 
 
 def test_an_accelerometer_leaves_no_tilt_to_suspect() -> None:
-    described = job([{}, {"name": "other", "imu": "chest"}], whole_body={"floor_tilt": 0.01})
-    found = {one.words for one in suspects(described, WALKER, [])}
+    asked_for = job([{}, {"name": "other", "imu": "chest"}], whole_body={"floor_tilt": 0.01})
+    found = {one.words for one in suspects(asked_for, WALKER, [])}
     assert found == {f"tilt under {link} in take" for _, _, link in SPANS}
 
 
@@ -460,7 +467,7 @@ def printed_of(tried: Mapping[str, Tried]) -> str:
 
 
 def test_joints_and_links_that_are_not_there_are_told_in_one_line() -> None:
-    described = job(
+    asked_for = job(
         whole_body={
             "joint_zeros": 0.01,
             "zeros_of": ["l_kne", "l_sole_joint"],
@@ -468,7 +475,7 @@ def test_joints_and_links_that_are_not_there_are_told_in_one_line() -> None:
         }
     )
     with pytest.raises(RobotError) as told:
-        tried_on(world(Planted(), 0), described)
+        tried_on(world(Planted(), 0), asked_for)
     text = str(told.value)
     assert "\n" not in text
     for fault in (

@@ -145,7 +145,8 @@ def an_outcome(
             inputs=[Input(role="recording", path=f"logs/{name}", sha256="ab" * 32)],
         ),
     )
-    return Outcome(job, robot, recordings, flat, (outcome,), calibration), truth
+    whole = {recording.name: recording for recording in recordings}
+    return Outcome(job, robot, recordings, whole, flat, (outcome,), calibration), truth
 
 
 @pytest.fixture(scope="module")

@@ -15,7 +15,16 @@ import numpy as np
 
 from ftcal.errors import DataError
 from ftcal.excitation import Excitation, excitation
-from ftcal.folds import Cell, Pool, aligned, blocked_folds, by_segment, pooled, reweighted
+from ftcal.folds import (
+    Cell,
+    Pool,
+    aligned,
+    aligned_means,
+    blocked_folds,
+    by_segment,
+    pooled,
+    reweighted,
+)
 from ftcal.moments import total, within
 from ftcal.noise import Noise, inefficiency
 from ftcal.ridge import Estimate, ScaledProblem, penalty_path
@@ -34,6 +43,9 @@ NOISE_ROUNDS = 4
 
 KAPPAS = np.geomspace(3e-4, 0.3, 31)
 """Prior strengths tried, in fractions of full scale."""
+
+MANY = 2**17
+"""Samples beyond which the means of cells say how many of them count as one."""
 
 ROBUST_ROUNDS = 2
 """Rounds of fit and weights; a third moves the entries by less than their error."""
@@ -165,8 +177,8 @@ def measured_noise(cells: Sequence[Cell], problem: ScaledProblem, options: FitOp
     """Return the residual of a weakly held fit: its size and its statistical inefficiency.
 
     The size counts the parameters that the fit spent (an offset a segment, the data's share of
-    every direction); it comes from the moments, only the inefficiency needs the samples. What the
-    options give is taken as given.
+    every direction); it comes from the moments, only the inefficiency of short data needs the
+    samples. What the options give is taken as given.
     """
     groups = by_segment(cells)
     least = 1e-12 * problem.workbench.full_scale
@@ -178,7 +190,7 @@ def measured_noise(cells: Sequence[Cell], problem: ScaledProblem, options: FitOp
         sd = np.maximum(np.sqrt(problem.squared_error(E) / count), least)
         E = problem.path(kappas, Noise(sd, np.ones(6)))[0]
     sd = np.maximum(np.sqrt(problem.squared_error(E) / count), least)
-    repeat = inefficiency(aligned(groups, problem.coefficients(E)))
+    repeat = repetition(groups, problem.coefficients(E))
     if options.samples_per_independent is not None:
         repeat = np.full(6, options.samples_per_independent)
     if options.noise is not None:
@@ -188,6 +200,26 @@ def measured_noise(cells: Sequence[Cell], problem: ScaledProblem, options: FitOp
     independent = count / repeat
     left = np.maximum(independent - spent, 0.1 * independent)
     return Noise(sd * np.sqrt(independent / left), repeat)
+
+
+def repetition(groups: Sequence[Sequence[Cell]], gain: Float[Array, "6 P"]) -> Float[Array, "6"]:
+    """Return the statistical inefficiency of `w - gain x` about its mean in every group of cells.
+
+    Of more than `MANY` samples it follows from the means of cells: those of m samples have the
+    variance `s_m^2` where single samples have `s^2`, and `g = m g_m s_m^2 / s^2` (H. Flyvbjerg,
+    H. G. Petersen, "Error estimates on averages of correlated data", 1989).
+    """
+    samples = sum(len(cell.samples) for group in groups for cell in group)
+    if samples <= MANY:
+        return inefficiency(aligned(groups, gain))
+    means = aligned_means(groups, gain)
+    cells = sum(map(len, means))
+    to_residual = np.hstack([-gain, np.eye(6)])
+    scatter = [total([cell.moments for cell in group]).map(to_residual).scatter for group in groups]
+    squares = np.diagonal(np.sum(scatter, axis=0)) / samples
+    of_means = np.sum([np.sum(part**2, axis=0) for part in means], axis=0) / cells
+    share = np.divide(of_means, squares, out=np.zeros(6), where=squares > 0)
+    return np.asarray(np.maximum(samples / cells * inefficiency(means) * share, 1.0))
 
 
 def choose_kappa(

@@ -23,6 +23,9 @@ if TYPE_CHECKING:
     from jaxtyping import Float
     from numpy import ndarray as Array
 
+MOST_CELLS = 4000
+"""More cells tell neither folds nor error bars any better: of hours of data they get longer."""
+
 Pool = Callable[[Sequence[Moments]], Moments]
 """How the moments of offset segments are pooled, which is how their offsets are modelled."""
 
@@ -61,8 +64,13 @@ class Fold:
 
 
 def cells(segments: Sequence[Samples], length: float) -> tuple[Cell, ...]:
-    """Return the non-empty cells of about `length` seconds that tile the segments, in order."""
+    """Return the non-empty cells of about `length` seconds that tile the segments, in order.
+
+    Of segments that would make more than `MOST_CELLS` of them the cells are longer instead.
+    """
     found = []
+    whole = sum(float(segment.time[-1] - segment.time[0]) for segment in segments if len(segment))
+    length = max(length, whole / MOST_CELLS)
     for number, segment in enumerate(segments):
         if not len(segment):
             continue
@@ -126,6 +134,24 @@ def aligned(
         weight = np.concatenate([np.full((len(cell.samples), 1), cell.weight) for cell in group])
         residual = rows[:, -6:] - rows[:, :-6] @ gain.T
         mean = (weight * residual).sum(axis=0) / weight.sum()
+        residuals.append(np.sqrt(weight) * (residual - mean))
+    return residuals
+
+
+def aligned_means(
+    groups: Sequence[Sequence[Cell]], gain: Float[Array, "6 P"]
+) -> list[Float[Array, "B 6"]]:
+    """Return the mean of `w - gain x` over every cell, about the mean of its group, as `aligned`.
+
+    It comes from the moments: no sample is looked at.
+    """
+    residuals = []
+    for group in groups:
+        means = np.array([cell.moments.mean for cell in group])
+        counts = np.array([[cell.moments.count] for cell in group])
+        weight = np.array([[cell.weight] for cell in group])
+        residual = means[:, -6:] - means[:, :-6] @ gain.T
+        mean = (counts * residual).sum(axis=0) / counts.sum()
         residuals.append(np.sqrt(weight) * (residual - mean))
     return residuals
 

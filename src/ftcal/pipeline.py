@@ -7,7 +7,7 @@ is the same to the last bit.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -38,7 +38,7 @@ class Outcome:
     robot: Robot
     recordings: tuple[Recording, ...]
     """With the first and last sample of every signal only."""
-    logs: Logs
+    logs: Mapping[str, Recording]
     """The recordings whole, read again where they are looked at."""
     findings: tuple[tuple[str, Finding], ...]
     """Recording and finding, in order."""

@@ -30,30 +30,62 @@ if TYPE_CHECKING:
 LAGS = 2
 """Cells over which products are still correlated."""
 
+WEAKEST = 0.1
+"""Prior from which the bend that the data show is looked for: weaker than any mounting bends."""
+
+ROUNDS = 100
+"""Most rounds of that; it takes ten."""
+
 
 def robust_posterior(
     problem: ScaledProblem, cells: Sequence[Cell], kappa: Float[Array, "6"], noise: Noise
 ) -> Estimate:
     """Return the maximum a posteriori estimate with a covariance that model errors do not fool.
 
-    `problem` is pooled from `cells`. Along each principal direction j of y the information on axis
-    i is `d_j^2 / m_ij`, with `d` the eigenvalues of S_yy and `m` the variance of the summed
-    products; never more than the noise alone would leave (`ScaledProblem.posterior`). The square of
-    `drawn` is added.
+    `problem` is pooled from `cells`. Along each principal direction j of y the estimate of axis i
+    keeps the share `rho = d_j / (d_j + penalty_i)` of the truth, with d the eigenvalues of S_yy:
+
+        variance = (1 - rho)^2 bend^2 + m_ij / (d_j + penalty_i)^2
+
+    with m the variance of the summed products, never less than the noise alone would leave, and
+    `bend` what E is expected to be: kappa, or what the data show (`shown_bend`) where that is more.
+    Where both agree and products are noise it is the posterior's. The square of `drawn` is added.
     """
-    E = problem.path(np.asarray(kappa)[None], noise)[0]
+    kappa = np.asarray(kappa)
+    E = problem.path(kappa[None], noise)[0]
     d, V = np.linalg.eigh(problem.S_yy)
     d = np.maximum(d, 0.0)
     summed = product_variance(products(cells, problem, E), V)
     power = np.maximum(problem.noise_power(noise)[:, None] * d, summed)
-    information = np.divide(d**2, power, out=np.zeros_like(power), where=power > 0)
-    variance = 1.0 / (information + 1.0 / np.asarray(kappa)[:, None] ** 2)
-    held = d + problem.penalties(np.asarray(kappa), noise)[:, None]
+    penalty = problem.penalties(kappa, noise)[:, None]
+    held = d + penalty
+    bend = np.maximum(kappa, shown_bend(problem, noise))[:, None]
+    variance = (penalty / held * bend) ** 2 + power / held**2
     # directions that were taken out (`along`) hold no noise either
     moves = np.broadcast_to(d > d[-1] * len(d) * np.finfo(float).eps, held.shape)
     bias = np.divide(drawn(problem, E) @ V, held, out=np.zeros_like(held), where=moves) @ V.T
     spread = np.einsum("pj,ij,qj->ipq", V, variance, V)
     return problem.estimate(E, spread + bias[:, :, None] * bias[:, None, :])
+
+
+def shown_bend(problem: ScaledProblem, noise: Noise) -> float:
+    """Return the size of the entries of E that the data tell, root mean square; 0 of none.
+
+    It is the fixed point of `kappa^2 = |E|^2 / gamma`, gamma the number of entries determined (D.
+    MacKay, Neural Computation 4, 1992). A kappa chosen by cross-validation may be much less: what
+    the data do not show costs nothing there, and would narrow the error bars.
+    """
+    d = np.maximum(np.linalg.eigvalsh(problem.S_yy), 0.0)
+    kappa = WEAKEST
+    for _ in range(ROUNDS):
+        E = problem.path(np.full((1, 6), kappa), noise)[0]
+        determined = float((d / (d + problem.penalties(np.full(6, kappa), noise)[:, None])).sum())
+        if determined < 1.0:
+            return 0.0
+        last, kappa = kappa, float(np.sqrt(np.sum(E**2) / determined))
+        if abs(kappa - last) <= 1e-3 * last or kappa == 0.0:
+            break
+    return kappa
 
 
 def drawn(problem: ScaledProblem, E: Float[Array, "6 P"]) -> Float[Array, "6 P"]:

@@ -89,8 +89,13 @@ def _resolved(
                                      + (c.temperature is not None)) for c in channels}  # fmt: skip
         model = ModelPrior(mass=job.whole_body.mass, com=job.whole_body.com)
         breaks = {s: known.known_breaks.get(name, ()) for s, name in names.items()}
-        more = unrest_in_balances(
-            parts, channels, frames, smoothing=job.whole_body.smoothing, model=model, breaks=breaks
+        smoothing = job.whole_body.smoothing
+        more = (
+            unrest_in_balances(
+                parts, channels, frames, smoothing=smoothing, model=model, breaks=breaks
+            )
+            if parts
+            else {}
         )
         for sensor, found in more.items():
             so_far = unrest.setdefault(sensor, [])

@@ -130,17 +130,22 @@ def score_table(scores: Scores, verdicts: Sequence[Verdict] | None = None) -> Ta
     return made
 
 
+EACH = {"offset step", "touch"}
+"""Kinds of findings that are told one by one: it matters when each of them was."""
+
+
 def print_findings(console: Console, findings: Sequence[tuple[str, Finding]]) -> None:
     """Print what the data doctor found, one line for each kind and signal, what is cut first."""
-    groups: dict[tuple[bool, str, str, str], list[Finding]] = {}
+    groups: dict[tuple[bool, str, str, str, float], list[Finding]] = {}
     for recording, finding in findings:
-        key = (not finding.cut, recording, finding.signal, finding.kind)
+        when = finding.start if finding.kind in EACH else 0.0
+        key = (not finding.cut, recording, finding.signal, finding.kind, when)
         groups.setdefault(key, []).append(finding)
     if not groups:
         return
     console.print(Text("data health", "bold"))
     lines = Table.grid(padding=(0, 2))
-    for (kept, recording, signal, kind), found in sorted(groups.items()):
+    for (kept, recording, signal, kind, _), found in sorted(groups.items()):
         message = found[0].message.removeprefix(f"{signal}: ")
         if len(found) > 1:
             lengths = [finding.stop - finding.start for finding in found]

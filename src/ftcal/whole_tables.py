@@ -16,14 +16,15 @@ from ftcal.all_sensors import SensorResult
 from ftcal.report.whole_metrics import means, move_words, on_the_prior, undetermined
 from ftcal.report.words import percent
 from ftcal.sensor import AXES
-from ftcal.terminal import STYLES, reasons, score_table, table
+from ftcal.terminal import EACH, STYLES, print_findings, reasons, score_table, table
 from ftcal.terms import MODEL
 from ftcal.verdict import advice, overall
 from ftcal.whole_pipeline import WholeOutcome
 
 
 def print_whole(console: Console, outcome: WholeOutcome) -> None:
-    """Print the verdicts, on all together and on every sensor, then leftovers, masses and prior."""
+    """Print steps and touches, verdicts on all together and every sensor, leftovers and masses."""
+    print_findings(console, [pair for pair in outcome.findings if pair[1].kind in EACH])
     print_together(console, outcome)
     for result in outcome.fit.sensors:
         print_result(console, result)

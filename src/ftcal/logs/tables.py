@@ -40,7 +40,7 @@ _AXES = (("fx", "fy", "fz", "tx", "ty", "tz"), ("fx", "fy", "fz", "mx", "my", "m
 
 
 @dataclass(frozen=True, slots=True)
-class _Table:
+class Table:
     """One file: named columns of Arrow, and where its rows begin."""
 
     file: Path
@@ -67,8 +67,8 @@ def read(path: Path, layout: Layout, *, name: str | None = None) -> Recording:
     or a number is not finite.
     """
     tables = [_load(file, layout) for file in (files(path) if path.is_dir() else [path])]
-    claims = _claims(path, tables, layout)
-    streams = columns.merge(_streams(t, claims[t.file], layout) for t in tables)
+    claims = claimed(path, tables, layout)
+    streams = columns.merge(signals_of(t, claims[t.file], layout) for t in tables)
     return columns.recording(
         streams,
         name=name or (path.resolve().name if path.is_dir() else tables[0].title),
@@ -78,7 +78,7 @@ def read(path: Path, layout: Layout, *, name: str | None = None) -> Recording:
     )
 
 
-def _load(file: Path, layout: Layout) -> _Table:
+def _load(file: Path, layout: Layout) -> Table:
     try:
         with ThreadPoolExecutor(1) as beside:
             digest = beside.submit(columns.file_sha256, file)
@@ -99,11 +99,11 @@ def _load(file: Path, layout: Layout) -> _Table:
     if not table.num_rows:
         raise LogError(f"{file}: a header but no rows; leave the file out")
     by_name = dict(zip(names, table.columns, strict=True))
-    return _Table(file, by_name, first_row, digest.result())
+    return Table(file, by_name, first_row, digest.result())
 
 
 @dataclass(frozen=True, slots=True)
-class _Claims:
+class Claims:
     """What the columns of one table are: signal → its columns, by role."""
 
     channels: dict[str, tuple[str, ...]]
@@ -112,7 +112,7 @@ class _Claims:
     joints: tuple[str, ...]
 
 
-def _claims(path: Path, tables: list[_Table], layout: Layout) -> dict[Path, _Claims]:
+def claimed(path: Path, tables: list[Table], layout: Layout) -> dict[Path, Claims]:
     """Return who owns which column of every table; `LogError` where the layout names none."""
     temperatures = {signal: (column,) for signal, column in layout.temperatures.items()}
     known = [column for table in tables for column in table.columns]
@@ -129,7 +129,7 @@ def _claims(path: Path, tables: list[_Table], layout: Layout) -> dict[Path, _Cla
             said[homes[0].file][role][signal] = tuple(names)
     if absent := [name for name in layout.joints if name not in known]:
         raise LogError(f"{path}: {unknown('column', absent[0], known)} to name as a joint")
-    return {table.file: _claims_of(table, layout, *said[table.file]) for table in tables}
+    return {table.file: claims_of(table, layout, *said[table.file]) for table in tables}
 
 
 def _columns_called(name: str, known: list[str]) -> list[str]:
@@ -138,17 +138,17 @@ def _columns_called(name: str, known: list[str]) -> list[str]:
     return whole or [name]
 
 
-def _claims_of(
-    table: _Table,
+def claims_of(
+    table: Table,
     layout: Layout,
     channels: dict[str, tuple[str, ...]],
     temperatures: dict[str, tuple[str, ...]],
     imus: dict[str, tuple[str, ...]],
-) -> _Claims:
+) -> Claims:
     taken = {layout.time, *layout.joints}
     for said in (channels, temperatures, imus):
         taken |= {column for names in said.values() for column in names}
-    numbers = [n for n, c in table.columns.items() if _is_number(c.type) and n not in taken]
+    numbers = [n for n, c in table.columns.items() if is_number(c.type) and n not in taken]
     groups: dict[tuple[str, str], dict[str, str]] = {}
     for column in numbers:
         if found := _AXIS.match(column):
@@ -164,17 +164,17 @@ def _claims_of(
     joints = [n for n in numbers if n not in taken]
     joints += [n for n, new in layout.joints.items() if new and n in table.columns]
     order = list(table.columns)
-    return _Claims(
+    return Claims(
         {**guessed, **channels}, temperatures, imus, tuple(sorted(joints, key=order.index))
     )
 
 
-def _is_number(kind: Any) -> bool:
+def is_number(kind: Any) -> bool:
     tests = (pa.types.is_integer, pa.types.is_floating, pa.types.is_decimal)
     return any(test(kind) for test in tests)
 
 
-def _streams(table: _Table, claims: _Claims, layout: Layout) -> Streams:
+def signals_of(table: Table, claims: Claims, layout: Layout) -> Streams:
     """Return the signals of one table, all on its clock."""
     where = str(table.file)
     stamps = nanoseconds(
@@ -187,10 +187,11 @@ def _streams(table: _Table, claims: _Claims, layout: Layout) -> Streams:
 
     def signal(name: str, names: tuple[str, ...], titles: tuple[str, ...], scale: float) -> Signal:
         for column in names:
-            if not _is_number(table.columns[column].type):
+            if not is_number(table.columns[column].type):
                 kind = table.columns[column].type
                 raise LogError(f"{where}: column {column!r} of {name!r} is {kind}, not numbers")
-        doubles = [table.columns[column].cast(pa.float64()) for column in names]
+        # whole numbers beyond 2^53 (a second stamp in ns) are rounded: no joint is that far
+        doubles = [table.columns[column].cast(pa.float64(), safe=False) for column in names]
         values = columns.matrix(doubles, scale=scale)
         columns.require_finite(values, names, where, first_row=table.first_row)
         return Signal(name, titles, clock.stamps, values[rows])

@@ -19,7 +19,7 @@ import pyarrow as pa
 from pyarrow import csv, parquet
 
 from ftcal.errors import OutputError
-from ftcal.logs.tables_writer import _TIME, _decimal_seconds
+from ftcal.logs.tables_writer import TIME, decimal_seconds
 from ftcal.recording import Recording, Signal
 
 if TYPE_CHECKING:
@@ -113,11 +113,11 @@ class Writer:
         columns = {
             f"{s.name}.{c}": s.values[:, k] for s in signals for k, c in enumerate(s.columns)
         }
-        if len(columns) < sum(len(signal.columns) for signal in signals) or _TIME in columns:
+        if len(columns) < sum(len(signal.columns) for signal in signals) or TIME in columns:
             raise OutputError(f"{self._path}: two columns would have one name; rename the signal")
         time = _CLOCKS[made.suffix.lower()](np.ascontiguousarray(signals[0].stamps))
         numbers = [pa.array(np.ascontiguousarray(column)) for column in columns.values()]
-        return pa.table([time, *numbers], names=[_TIME, *columns])
+        return pa.table([time, *numbers], names=[TIME, *columns])
 
     def _apart(self, *names: str) -> OutputError:
         first, second, *_ = dict.fromkeys(names)
@@ -161,7 +161,7 @@ def _moments(stamps: Int[Array, "N"]) -> Any:
 
 
 def _texts(stamps: Int[Array, "N"]) -> Any:
-    return pa.array(_decimal_seconds(stamps))
+    return pa.array(decimal_seconds(stamps))
 
 
 _OPENERS = {".parquet": _parquet, ".csv": _csv}

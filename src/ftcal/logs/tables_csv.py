@@ -40,7 +40,10 @@ def load_csv(file: Path, layout: Layout) -> Any:
         if (pa.types.is_integer(field.type) or pa.types.is_null(field.type))
         and field.name != layout.time
     }
-    names, *first = plain_csv.reader(lines, delimiter=delimiter)
+    try:
+        names, *first = plain_csv.reader(lines, delimiter=delimiter)
+    except plain_csv.Error as error:
+        raise LogError(f"{file}: its header is none: {error}; is it a table?") from error
     moment = dict(zip(names, first[0], strict=False)).get(layout.time, "") if first else ""
     exact = dict(types)
     if _DECIMAL.match(moment) and layout.time_unit in {None, "s"}:

@@ -133,10 +133,10 @@ def tables_pieces(path: Path, layout: Layout, *, name: str | None = None) -> Tab
         return None
     empty = {s.file: s.schema.empty_table() for s in known}
     plain = [
-        tables._Table(s.file, dict(zip(s.schema.names, empty[s.file].columns, strict=True)), 1, b"")
+        tables.Table(s.file, dict(zip(s.schema.names, empty[s.file].columns, strict=True)), 1, b"")
         for s in known
     ]
-    claims = tables._claims(path, plain, layout)
+    claims = tables.claimed(path, plain, layout)
     with ThreadPoolExecutor(1) as beside:
         digests = beside.map(columns.file_sha256, files)
         streamed = []

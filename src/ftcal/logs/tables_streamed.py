@@ -47,7 +47,7 @@ class StreamedTable:
     """One file, its columns claimed and its times looked through."""
 
     source: Batched
-    claims: tables._Claims
+    claims: tables.Claims
     layout: Layout
     numbers: int
     """Numbers of a batch."""
@@ -94,7 +94,7 @@ class StreamedTable:
         Raises `LogError` where time is missing or goes back.
         """
         where = str(self.source.file)
-        title = tables._Table(self.source.file, {}, 1, b"").title
+        title = tables.Table(self.source.file, {}, 1, b"").title
         nearest, furthest, rows, kept, longest = 2**63, 0, 0, 0, 0
         found: list[Note] = []
         for stretch in self.stretches([self.layout.time] if self.source.certain else self.used):
@@ -121,9 +121,9 @@ class StreamedTable:
         """Yield the signals of one batch after another."""
         stretches = self.stretches(self.used)
         for stretch in _readable(stretches, self.source.file):
-            table = tables._Table(self.source.file, stretch.columns, stretch.first_row, b"")
+            table = tables.Table(self.source.file, stretch.columns, stretch.first_row, b"")
             try:
-                read = tables._streams(table, self.claims, self.layout)
+                read = tables.signals_of(table, self.claims, self.layout)
             except LogError as error:
                 raise self._not_finite(stretch, stretches) or error from error
             yield from_row(read, stretch.again)
@@ -163,9 +163,9 @@ def _readable(stretches: Iterator[_Stretch], file: Path) -> Iterator[_Stretch]:
 def _bad(stretch: _Stretch, names: Sequence[str]) -> Int[Array, "M 2"]:
     """Return row and column of every number that is not finite."""
     numbers = [stretch.columns[name] for name in names]
-    if not all(tables._is_number(column.type) for column in numbers):
+    if not all(tables.is_number(column.type) for column in numbers):
         return np.empty((0, 2), dtype=np.int64)  # refused for that
-    values = columns.matrix([column.cast(pa.float64()) for column in numbers])
+    values = columns.matrix([column.cast(pa.float64(), safe=False) for column in numbers])
     return np.argwhere(~np.isfinite(values))
 
 

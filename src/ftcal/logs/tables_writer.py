@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from jaxtyping import Int
     from numpy import ndarray as Array
 
-_TIME = "time"
+TIME = "time"
 
 
 def write(
@@ -64,7 +64,7 @@ def write(
     columns = {signal.name: tuple(titles) for signal, titles in others}
     firsts = [s.name for s, _ in every if s.stamps[0] == recording.start and not alone]
     return Layout(
-        time=_TIME,
+        time=TIME,
         channels={s.name: columns[s.name] for s in recording.channels if len(s)},
         temperatures={s.name: columns[s.name][0] for s in recording.temperatures if len(s)},
         imus={s.name: columns[s.name] for s in recording.imus if len(s)},
@@ -74,14 +74,14 @@ def write(
 
 def _write(signals: Sequence[tuple[Signal, dict[str, str]]], file: Path) -> None:
     """Write signals of one clock as one table."""
-    names = [_TIME, *(title for _, titles in signals for title in titles)]
+    names = [TIME, *(title for _, titles in signals for title in titles)]
     if twice := [name for name, count in Counter(names).items() if count > 1]:
         raise OutputError(f"{file}: two columns would be called {twice[0]!r}; rename the signal")
     values = [s.values[:, k] for s, titles in signals for k in range(len(titles))]
     stamps = np.ascontiguousarray(signals[0][0].stamps, dtype=np.int64)
     numbers = [pa.array(np.ascontiguousarray(column)) for column in values]
     if file.suffix.lower() == ".csv":
-        table = pa.table([pa.array(_decimal_seconds(stamps)), *numbers], names=names)
+        table = pa.table([pa.array(decimal_seconds(stamps)), *numbers], names=names)
         csv.write_csv(table, file, csv.WriteOptions(quoting_style="needed"))
     else:
         moments = pa.array(stamps).cast(pa.timestamp("ns", "UTC"))
@@ -91,6 +91,6 @@ def _write(signals: Sequence[tuple[Signal, dict[str, str]]], file: Path) -> None
         )
 
 
-def _decimal_seconds(stamps: Int[Array, "N"]) -> list[str]:
+def decimal_seconds(stamps: Int[Array, "N"]) -> list[str]:
     """Return nanoseconds as text of seconds, exactly."""
     return [f"{n // NANOSECONDS}.{n % NANOSECONDS:09d}" for n in stamps.tolist()]
