@@ -1,17 +1,16 @@
 """A calibration applied: in a control loop, to channels in memory, and to a log on disk.
 
-    python benchmarks/applying.py --samples 3000000 --rounds 5 [--scaling 100000 1000000 3000000]
+    python benchmarks/applying.py --samples 3000000 --rounds 3
 
 The map of channels is measured against BLAS, whose result depends on where a row stands; the
 command against what an engineer writes with pyarrow and NumPy for a log that fits into memory. Both
-take turns within a round; figures are medians over the rounds. Each command is a process of its
+take turns within a round. Each command is a process of its
 own, and its peak memory is what the system says of it. To a process the system counts what its
 parent held when it was started, so logs are made in processes of their own, too.
 """
 
 from __future__ import annotations
 
-import argparse
 import os
 import subprocess
 import sys
@@ -25,6 +24,7 @@ from statistics import median
 
 import numpy as np
 import pyarrow as pa
+from measure import Benchmark, Record, interleaved
 from pyarrow import parquet
 
 from ftcal.applying import by_rows
@@ -112,20 +112,18 @@ def run(arguments: Sequence[str]) -> tuple[float, float]:
     return time.perf_counter() - start, used.ru_maxrss / 1e3
 
 
-def control_loop(rounds: int) -> dict[str, float]:
-    """Print and return microseconds of a sample."""
+def control_loop(rounds: int) -> None:
+    """Print microseconds of a sample."""
     (sensor,) = calibration().sensors
-    sample, figures = np.ones(6), {}
+    sample = np.ones(6)
     for name, read in (("wrench", WrenchReader(sensor).read), ("sd", SdReader(sensor).read)):
         spent = timeit.repeat(partial(read, sample), number=10_000, repeat=10 * rounds)
         # the fastest says what the code costs, the median what others on this machine add
-        figures[f"{name} us"] = min(spent) * 100
         print(f"one sample, {name:8}{min(spent) * 100:8.2f} us, median {median(spent) * 100:.2f}")
-    return figures
 
 
-def mapping(rounds: int) -> dict[str, float]:
-    """Print and return millions of samples a second of the pure 6x6 map."""
+def mapping(rounds: int) -> Record:
+    """Return the record of the pure 6x6 map."""
     rng = np.random.default_rng(0)
     x = np.asfortranarray(rng.normal(size=(CHANNELS, 6)))
     gain, offset = rng.normal(size=(6, 6)), rng.normal(size=6)
@@ -133,22 +131,18 @@ def mapping(rounds: int) -> dict[str, float]:
         "ftcal": lambda: by_rows(x, gain, offset),
         "BLAS": lambda: x @ gain.T + offset,
     }
-    spent: dict[str, list[float]] = {name: [] for name in ways}
-    for _ in range(10 * rounds):
-        for name, way in ways.items():
-            start = time.perf_counter()
-            way()
-            spent[name].append(time.perf_counter() - start)
-    rates = {name: CHANNELS / median(seconds) / 1e6 for name, seconds in spent.items()}
-    print(f"6x6 map: {rates['ftcal']:.1f} million samples/s; BLAS {rates['BLAS']:.1f}")
-    return {"map Msamples/s": rates["ftcal"], "map / BLAS": rates["ftcal"] / rates["BLAS"]}
+    spent = interleaved(ways, 10 * rounds)
+    print(f"6x6 map: {CHANNELS / median(spent['ftcal']) / 1e6:.1f} million samples/s")
+    size = f"{CHANNELS} samples"
+    return Record.of("apply: 6x6 map in memory", "BLAS", size, ours=spent["ftcal"],
+                     theirs=spent["BLAS"])  # fmt: skip
 
 
-def command(home: Path, samples: int, rounds: int) -> dict[str, float]:
-    """Print and return rate, memory and the time over that of a script, of `ftcal apply`."""
+def command(home: Path, samples: int, rounds: int) -> Record:
+    """Print rate and memory of `ftcal apply`, and return its record."""
     known, log = home / "calibration.json", home / "log.parquet"
     known.write_bytes(to_json(calibration()))
-    run([__file__, "--write", str(log), "--samples", str(samples)])
+    run([__file__, "--write", str(log), str(samples)])
     apply = ["-m", "ftcal.cli", "apply", str(known), str(log), "-o"]
     ways = {
         "ftcal apply": [*apply, str(home / "out.parquet")],
@@ -159,33 +153,27 @@ def command(home: Path, samples: int, rounds: int) -> dict[str, float]:
     for _ in range(rounds):
         for name, arguments in ways.items():
             spent[name].append(run(arguments))
-    seconds = {name: median(s for s, _ in each) for name, each in spent.items()}
     print(f"{samples} samples x 7 columns, {log.stat().st_size / 1e6:.0f} MB of Parquet")
-    figures: dict[str, float] = {}
+    seconds = {name: [s for s, _ in each] for name, each in spent.items()}
     for name, each in spent.items():
-        rate, peak = samples / seconds[name] / 1e6, max(mb for _, mb in each)
-        print(f"{name:18}{seconds[name]:8.2f} s{rate:8.2f} million samples/s{peak:8.0f} MB")
-        figures |= {f"{name} Msamples/s": rate, f"{name} MB": peak}
-    return {**figures, "command / by hand": seconds["ftcal apply"] / seconds["by hand"]}
+        rate, peak = samples / median(seconds[name]) / 1e6, max(mb for _, mb in each)
+        print(f"{name:18}{median(seconds[name]):8.2f} s{rate:8.2f} million samples/s{peak:8.0f} MB")
+    name, against = "apply: command, Parquet to Parquet", "pyarrow and NumPy"
+    return Record.of(name, against, f"{samples} samples",
+                     ours=seconds["ftcal apply"], theirs=seconds["by hand"])  # fmt: skip
 
 
-def main(arguments: Sequence[str] | None = None) -> dict[str, float]:
-    """Print and return the figures of all three; those of the command for the last size."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--samples", type=int, default=3_000_000)
-    parser.add_argument("--scaling", type=int, nargs="*", default=[], help="samples, one after one")
-    parser.add_argument("--rounds", type=int, default=3)
-    parser.add_argument("--write", type=Path, metavar="LOG", help="make a log, and no more")
-    options = parser.parse_args(arguments)
-    if options.write:
-        write_log(options.write, options.samples)
-        return {}
-    figures = {**control_loop(options.rounds), **mapping(options.rounds)}
-    for samples in [*options.scaling, options.samples]:
-        with tempfile.TemporaryDirectory() as temporary:
-            figures |= command(Path(temporary), samples, options.rounds)
-    return figures
+def measure(samples: int, rounds: int) -> list[Record]:
+    """Return the records of the map and of the command; what a sample costs is printed."""
+    control_loop(rounds)
+    with tempfile.TemporaryDirectory() as temporary:
+        return [mapping(rounds), command(Path(temporary), samples, rounds)]
 
+
+BENCHMARK = Benchmark(measure, {"samples": 3_000_000, "rounds": 3}, {"samples": 1_000, "rounds": 1})
 
 if __name__ == "__main__":
-    main()
+    if sys.argv[1:2] == ["--write"]:
+        write_log(Path(sys.argv[2]), int(sys.argv[3]))
+    else:
+        BENCHMARK.main(__doc__)

@@ -1,23 +1,23 @@
-"""How fast MCAP is read and written, as ratios to what rosbags needs for the same messages.
+"""How fast MCAP is read, against rosbags on the same messages.
 
-Ratios of medians over interleaved rounds of one run. The file holds as many `WrenchStamped` as
-`JointState` messages, of seven joints with positions, velocities and efforts; rosbags decodes every
-message and its numbers go into one array a topic. Both give the same numbers, which is checked.
-`python benchmarks/bags.py --messages 200000 --rounds 5`
+    python benchmarks/bags.py --messages 200000 --rounds 5
+
+The file holds as many `WrenchStamped` as `JointState` messages, of seven joints with positions,
+velocities and efforts; rosbags decodes every message and its numbers go into one array a topic.
+Both give the same numbers, which is checked.
 """
 
 from __future__ import annotations
 
-import argparse
 import tempfile
-import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
-from statistics import median
 from typing import Any
 
 import numpy as np
 from mcap.writer import Writer
+from measure import Benchmark, Record, interleaved
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
@@ -71,39 +71,27 @@ def by_rosbags(file: Path) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     return {topic: (np.array(stamps[topic]), np.array(rows[topic])) for topic in rows}
 
 
-def timed(run: Callable[[], object]) -> tuple[float, float]:
-    """Return the seconds that `run` takes, on the clock and of the processor."""
-    wall, cpu = time.perf_counter(), time.process_time()
-    run()
-    return time.perf_counter() - wall, time.process_time() - cpu
-
-
-def main(arguments: Sequence[str] | None = None) -> dict[str, float]:
-    """Print and return how many times as long as ftcal rosbags needs."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--messages", type=int, default=200_000)
-    parser.add_argument("--rounds", type=int, default=5)
-    options = parser.parse_args(arguments)
+def measure(messages: int, rounds: int) -> list[Record]:
+    """Return the ratio, once both give the same numbers."""
     with tempfile.TemporaryDirectory() as temporary:
         file = Path(temporary) / "take.mcap"
-        write_mcap(file, options.messages, seed=0)
+        write_mcap(file, messages, seed=0)
         recording, theirs = read(file), by_rosbags(file)
         for signal in (*recording.joints, *recording.channels):
             stamps, values = theirs[signal.name]
             np.testing.assert_array_equal(signal.stamps, stamps)
             np.testing.assert_array_equal(signal.values, values)
-        spent = [
-            (timed(lambda: read(file)), timed(lambda: by_rosbags(file)))
-            for _ in range(options.rounds)
-        ]
-    ratios = {}
-    print(f"{options.messages} messages{'ftcal ms':>16}{'rosbags ms':>14}{'ratio':>8}")
-    for k, clock in enumerate(("wall", "processor")):
-        a, b = (median(pair[side][k] for pair in spent) for side in (0, 1))
-        ratios[clock] = b / a
-        print(f"{clock:16}{a * 1e3:16.1f}{b * 1e3:14.1f}{b / a:8.1f}")
-    return ratios
+        calls: dict[str, Callable[[], object]] = {
+            "ftcal": partial(read, file), "rosbags": partial(by_rosbags, file),
+        }  # fmt: skip
+        times = interleaved(calls, rounds)
+    return [
+        Record.of("reading MCAP", "rosbags", f"{messages} messages",
+                  ours=times["ftcal"], theirs=times["rosbags"])
+    ]  # fmt: skip
 
+
+BENCHMARK = Benchmark(measure, {"messages": 200_000, "rounds": 5}, {"messages": 500, "rounds": 1})
 
 if __name__ == "__main__":
-    main()
+    BENCHMARK.main(__doc__)

@@ -16,7 +16,8 @@ from hypothesis import strategies as st
 from rich.console import Console
 
 from ftcal import report
-from ftcal.all_sensors import WholeBody, balanced
+from ftcal.all_sensors import WholeBody
+from ftcal.balanced_take import balanced
 from ftcal.balances import Balance, balances
 from ftcal.config import Job, read_job
 from ftcal.elimination import Eliminated, inertia_names, model_places
@@ -32,7 +33,7 @@ from ftcal.spatial import rotation_about, wrench_transform
 from ftcal.suspects import carrying, level_axes, shifted, suspects
 from ftcal.suspicion import Suspicion
 from ftcal.terms import Segment, features
-from ftcal.whole_body import GroupNoise, Normal, Unknowns
+from ftcal.unknowns import GroupNoise, Normal, Unknowns
 from ftcal.whole_pipeline import calibrate_whole_body
 from ftcal.whole_tables import print_whole
 from pretend import FULL_SCALE, bent, workbench

@@ -14,10 +14,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ftcal.all_sensors import Residual, loose_scales
 from ftcal.balances import Leftover
 from ftcal.calibration import read_calibration
 from ftcal.config import Job, read_job
+from ftcal.judging import Residual, loose_scales
 from ftcal.law import Law
 from ftcal.whole_pipeline import WholeOutcome, calibrate_whole_body
 from real import DATA, ROOT, needs_genova02

@@ -12,10 +12,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from ftcal.all_sensors import WholeBody, calibrate_all, known_of, loose_scales
+from ftcal.all_sensors import WholeBody, calibrate_all
 from ftcal.balances import Balance, balances, smoothed
 from ftcal.config import FitSection, Job, WholeBodySection, read_job
 from ftcal.errors import DataError, FtcalError, JobError
+from ftcal.judging import known_of, loose_scales
 from ftcal.law import Law
 from ftcal.motion import STANDARD_GRAVITY
 from ftcal.pairing import FtChannel
@@ -29,21 +30,11 @@ from ftcal.spatial import pose
 from ftcal.staging import stage
 from ftcal.synthetic import read_truth
 from ftcal.terms import Frame, ModelPrior, Segment, Terms, summed
+from ftcal.unknowns import SCALE_SD, GroupNoise, Normal, Posterior, Unknowns, path, solve
 from ftcal.urdf import read_robot
 from ftcal.verdict import Verdict
 from ftcal.weighing import weighed
-from ftcal.whole_body import (
-    SCALE_SD,
-    GroupNoise,
-    Normal,
-    Posterior,
-    Unknowns,
-    choose_kappa,
-    fit_all,
-    maximise_evidence,
-    path,
-    solve,
-)
+from ftcal.whole_body import choose_kappa, fit_all, maximise_evidence
 from ftcal.whole_pipeline import calibrate_whole_body, refuse_misread, suspicious
 from pretend import FULL_SCALE, bent, workbench
 from study_world import LEGS, ideal, moved, schedule, signal

@@ -16,10 +16,10 @@ from rich.console import Console
 
 import golden
 from ftcal import report
-from ftcal.all_sensors import loose_scales
 from ftcal.calibration import Calibration, Input, Provenance
 from ftcal.config import Job
 from ftcal.errors import OutputError, SensorError
+from ftcal.judging import loose_scales
 from ftcal.plots.whole_body import Node, places, sub_model_graph
 from ftcal.recording import Finding
 from ftcal.report.whole_metrics import nodes as sub_models

@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ftcal.all_sensors import BalancedTake, WholeBody, balanced
+from ftcal.all_sensors import WholeBody
+from ftcal.balanced_take import BalancedTake, balanced
 from ftcal.balances import Balance
 from ftcal.config import Job, RecordingSection
 from ftcal.pairing import FtChannel

@@ -44,6 +44,18 @@ PATIENCE = 2.0
 
 TEXT = click.Path(path_type=Path)
 as_json = click.option("--json", "machine", is_flag=True, help="Print JSON instead of tables.")
+workers_option = click.option(
+    "--workers", type=click.IntRange(1), help="Processes (default: one a core)."
+)
+
+
+def scheduler_option(default: str) -> Callable[[Callable[P, R]], Callable[P, R]]:
+    """Return the option that says where recordings are read and paired."""
+    return click.option(
+        "--scheduler",
+        metavar="WHERE",
+        help=f"here, local or a Dask scheduler's tcp://HOST:PORT (default: {default}).",
+    )
 
 
 def mendable(command: Callable[P, R]) -> Callable[P, R]:
@@ -251,26 +263,40 @@ def touches(
 @main.command(short_help="Calibrate the sensors of a job file.")
 @click.argument("job", type=TEXT)
 @click.option("-o", "--output", type=TEXT, help="Folder of the results (default: ftcal-out).")
+@scheduler_option("what the job says, or here")
+@workers_option
 @as_json
 @mendable
-def calibrate(job: Path, output: Path | None, machine: bool) -> None:
+def calibrate(
+    job: Path, output: Path | None, scheduler: str | None, workers: int | None, machine: bool
+) -> None:
     """Calibrate the sensors of JOB (TOML): calibration.json, metrics.json and report.html."""
-    sys.exit(run_job(job, output, machine, truth=None))
+    sys.exit(run_job(job, output, machine, scheduler=scheduler, workers=workers))
 
 
-def run_job(job: Path, output: Path | None, machine: bool, *, truth: dict[str, Any] | None) -> int:
+def run_job(
+    job: Path,
+    output: Path | None,
+    machine: bool,
+    *,
+    scheduler: str | None = None,
+    workers: int | None = None,
+    truth: dict[str, Any] | None = None,
+) -> int:
     """Run a job, write its results, print them; return the exit code."""
     from ftcal import terminal
+    from ftcal.compute import executor
     from ftcal.config import read_job
     from ftcal.pipeline import calibrate as run
     from ftcal.report import metrics, write_outcome
 
     described = read_job(job)
     folder = output or job.parent / (described.output or "ftcal-out")
+    where = executor(scheduler or described.compute.scheduler, workers or described.compute.workers)
     if described.fit.scope == "whole body":
         return run_whole_body(described, folder, machine)
     with progress_bar() as progress:
-        outcome = run(described, progress=progress)
+        outcome = run(described, where=where, progress=progress)
         report = write_outcome(outcome, folder, truth)
     if machine:
         click.echo(json.dumps(metrics(outcome, truth), indent=1))
@@ -309,7 +335,7 @@ def run_whole_body(described: Job, folder: Path, machine: bool) -> int:
 @click.argument("job", type=TEXT)
 @click.option("-o", "--output", type=TEXT, help="Folder of the results (default: ftcal-out).")
 @click.option("--cache", type=TEXT, help="Folder of prepared recordings (default: OUTPUT/cache).")
-@click.option("--workers", type=click.IntRange(1), help="Processes (default: one a core).")
+@workers_option
 @as_json
 @mendable
 def study(
@@ -345,6 +371,53 @@ def study(
         if outcome.sub_chains:
             out.print(f"calibration  {report.with_name('calibration.json')}", soft_wrap=True)
     sys.exit(0 if outcome.improved else NOT_BETTER)
+
+
+@main.command(short_help="Calibrate many robots; show whose sensors drifted.")
+@click.argument("place")
+@click.option("-o", "--output", type=TEXT, required=True, help="Folder of the results.")
+@scheduler_option("local")
+@workers_option
+@click.option("--cache", type=TEXT, help="Folder of paired recordings (default: OUTPUT/cache).")
+@click.option("--since", type=TEXT, help="Compare with the results of an earlier run there.")
+@click.option("--report", is_flag=True, help="Write report.html of every robot, too.")
+@as_json
+@mendable
+def fleet(
+    place: str,
+    output: Path,
+    *,
+    scheduler: str | None,
+    workers: int | None,
+    cache: Path | None,
+    since: Path | None,
+    report: bool,
+    machine: bool,
+) -> None:
+    """Calibrate every robot below PLACE, a folder or a URL: each is a folder with a job.toml.
+
+    What is finished is not done again, however the run before ended. Exits with 1 where a
+    recording or a robot could not be done.
+    """
+    from ftcal.compute import LOCAL, executor
+    from ftcal.fleet import run_fleet
+    from ftcal.fleet_table import as_record, print_fleet
+
+    with progress_bar() as progress:
+        outcome = run_fleet(
+            place,
+            output,
+            where=executor(scheduler or LOCAL, workers),
+            cache=cache,
+            since=since,
+            report=report,
+            progress=progress,
+        )
+    if machine:
+        click.echo(json.dumps(as_record(outcome), indent=1))
+    else:
+        print_fleet(console(), outcome)
+    sys.exit(0 if outcome.whole else 1)
 
 
 @main.command(short_help="Score a calibration on other recordings.")

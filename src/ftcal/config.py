@@ -18,6 +18,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 from pydantic_core import ErrorDetails
 
+from ftcal.compute import HERE
 from ftcal.contact import ContactSchedule, Interval
 from ftcal.errors import JobError, raise_all, unknown
 from ftcal.fit import FitOptions
@@ -329,6 +330,15 @@ class StudySection(Section):
         return self
 
 
+class ComputeSection(Section):
+    """Where the recordings are read and paired."""
+
+    scheduler: str = HERE
+    """`here`, `local` (the cores of this machine), or the address of a Dask scheduler."""
+    workers: Annotated[int, Field(ge=1)] | None = None
+    """Processes of `local`; default: one a core."""
+
+
 class Job(Section):
     """A whole job file."""
 
@@ -340,6 +350,7 @@ class Job(Section):
     fit: FitSection = FitSection()
     whole_body: WholeBodySection = WholeBodySection()
     study: StudySection = StudySection()
+    compute: ComputeSection = ComputeSection()
     output: Path | None = None
     """Folder of the results; default: `ftcal-out` beside the job file."""
     file: Annotated[Path, Field(exclude=True)] = Path("job.toml")
@@ -469,6 +480,7 @@ def keys_beside(parents: Iterable[Any]) -> list[str]:
         "whole_body": WholeBodySection,
         "payloads": PayloadSection,
         "study": StudySection,
+        "compute": ComputeSection,
     }
     for part in parents:
         section = sections.get(str(part), section)

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ftcal.whole_body import Group, GroupNoise, Normal, Unknowns
+from ftcal.unknowns import Group, GroupNoise, Normal, Unknowns
 
 if TYPE_CHECKING:
     from jaxtyping import Float

@@ -8,7 +8,7 @@ multiple of full scale / 32768: a log says which file was in the sensor.
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -172,13 +172,7 @@ def lattice_error(values: Float[Array, "N 6"], full_scale: Float[Array, "6"]) ->
     Near 0 on the lattice, 0.25 by chance. Each distinct value counts once: a frozen sensor
     repeats one; zero lies on every lattice and does not count. NaN where no value is left.
     """
-    step = np.asarray(full_scale, dtype=np.float64) / ONE
-    error = np.full(6, np.nan)
-    for axis, distinct in enumerate(_distinct(values)):
-        if distinct.size:
-            steps = distinct / step[axis]
-            error[axis] = np.mean(np.abs(steps - np.rint(steps)))
-    return error
+    return _distance(_distinct(values), full_scale)
 
 
 def lattice_fit(values: Float[Array, "N 6"], full_scale: Float[Array, "6"]) -> Fit:
@@ -187,23 +181,16 @@ def lattice_fit(values: Float[Array, "N 6"], full_scale: Float[Array, "6"]) -> F
     Undecided where an axis shows fewer than ten distinct values, or text of six decimals cannot
     show its lattice.
     """
-    step = np.asarray(full_scale, dtype=np.float64) / ONE
-    enough = np.array([distinct.size >= ENOUGH for distinct in _distinct(values)])
-    enough &= step * ON_LATTICE > TEXT_ROUNDING
-    error = lattice_error(values, full_scale)
-    if (error[enough] > ON_LATTICE).any():
-        return "off"
-    return "fits" if enough.all() else "undecided"
+    return _fit(_distinct(values), full_scale)
 
 
 def identify(
     values: Float[Array, "N 6"], matrices: Mapping[str, FirmwareMatrix]
 ) -> tuple[str, ...]:
     """Return the names of those `matrices` whose full scales fit all six axes of a log."""
+    found = _distinct(values)
     return tuple(
-        name
-        for name, matrix in matrices.items()
-        if lattice_fit(values, matrix.full_scale) == "fits"
+        name for name, matrix in matrices.items() if _fit(found, matrix.full_scale) == "fits"
     )
 
 
@@ -231,3 +218,26 @@ def _distinct(values: Float[Array, "N 6"]) -> list[Float[Array, "D"]]:
     columns = np.asarray(values, dtype=np.float64).T
     found = [np.unique(column[np.isfinite(column)]) for column in columns]
     return [distinct[distinct != 0.0] for distinct in found]
+
+
+def _distance(
+    found: Sequence[Float[Array, "D"]], full_scale: Float[Array, "6"]
+) -> Float[Array, "6"]:
+    """Return `lattice_error` of the distinct values of each axis."""
+    step = np.asarray(full_scale, dtype=np.float64) / ONE
+    error = np.full(6, np.nan)
+    for axis, distinct in enumerate(found):
+        if distinct.size:
+            steps = distinct / step[axis]
+            error[axis] = np.mean(np.abs(steps - np.rint(steps)))
+    return error
+
+
+def _fit(found: Sequence[Float[Array, "D"]], full_scale: Float[Array, "6"]) -> Fit:
+    """Return `lattice_fit` of the distinct values of each axis."""
+    enough = np.array([distinct.size >= ENOUGH for distinct in found])
+    enough &= np.asarray(full_scale, dtype=np.float64) / ONE * ON_LATTICE > TEXT_ROUNDING
+    error = _distance(found, full_scale)
+    if (error[enough] > ON_LATTICE).any():
+        return "off"
+    return "fits" if enough.all() else "undecided"

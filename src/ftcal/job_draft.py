@@ -48,8 +48,8 @@ def draft(
     ]
     if len(matches) > 1 and schedule is not None:
         lines += ["[fit]", 'scope = "whole body"  # all sensors at once; or "each sensor"', ""]
-    for name, signal in matches.items():
-        lines += [*sensor_lines(name, recording.channel(signal)), ""]
+    for name, matched in matches.items():
+        lines += [*sensor_lines(name, recording.channel(matched)), ""]
     taken = set(matches.values())
     strangers = [signal for signal in recording.channels if signal.name not in taken]
     for signal in strangers if not matches else ():
@@ -76,8 +76,8 @@ def sensor_lines(name: str, signal: Signal, question: str = "") -> Iterator[str]
         yield "# ? full_scale = [fx, fy, fz, tx, ty, tz]  # N and Nm; a firmware file has its own"
         return
     yield '# ? workbench = "matrix_SN….txt"  # of its manufacturer; without it the log is believed'
-    shown = estimate_full_scale(signal.values) if len(signal) else []
-    if len(shown) and min(shown) > 0:
+    shown = estimate_full_scale(signal.values)
+    if shown.min() > 0:
         scale = ", ".join(str(int(value)) for value in shown)
         yield f"full_scale = [{scale}]  # N and Nm, as its readings show"
     else:

@@ -29,7 +29,8 @@ from ftcal.robot import Robot
 from ftcal.suspects import ModelError, Suspect, suspects
 from ftcal.suspicion import Suspicion
 from ftcal.terms import ModelPrior, Terms
-from ftcal.whole_body import Normal, Unknowns, held_out, robust_weights, stretches_of
+from ftcal.unknowns import Normal, Unknowns
+from ftcal.whole_body import held_out, robust_weights, stretches_of
 
 if TYPE_CHECKING:
     from jaxtyping import Float

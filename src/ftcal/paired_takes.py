@@ -10,7 +10,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 
 from ftcal.archive import Shelf
@@ -42,8 +42,6 @@ class Work:
     robot: str
     """Digest of the robot description that the job names."""
     channels: tuple[FtChannel, ...]
-    shelf: Shelf | None
-    """Where the result is kept and found again."""
 
     @property
     def section(self) -> RecordingSection:
@@ -60,13 +58,15 @@ class Work:
         return shelf.place({**made_from, "paired": self.job.fit.offset})
 
 
-def work_of(
-    job: Job, robot: Robot, channels: Sequence[FtChannel], shelf: Shelf | None
-) -> dict[str, Work]:
+def work_of(job: Job, robot: Robot, channels: Sequence[FtChannel]) -> dict[str, Work]:
     """Return the recordings of a job as work, by name."""
+    # another process may have another working directory
+    rooted = job.model_copy(update={"file": job.file.absolute()})
     return {
         section.label: Work(
-            job.model_copy(update={"recordings": (section,)}), robot.digest, tuple(channels), shelf
+            rooted.model_copy(update={"recordings": (section,)}),
+            robot.digest,
+            tuple(channels),
         )
         for section in job.recordings
     }
@@ -81,14 +81,12 @@ def known_robot(path: Path, digest: str) -> Robot:
     return robot
 
 
-def paired_take(work: Work) -> PairedTake:
-    """Return one recording as a calibration needs it.
+def paired_take(work: Work, shelf: Shelf | None = None) -> PairedTake:
+    """Return one recording as a calibration needs it, kept on the shelf and found again there.
 
     Raises `FtcalError` where the log cannot be read or a sensor's wrench cannot be known in it.
     """
-    if work.shelf is None:
-        return _made(work)
-    return take_at(work.place(work.shelf), work, work.shelf)
+    return _made(work) if shelf is None else take_at(work.place(shelf), work, shelf)
 
 
 def take_at(place: Path, work: Work, shelf: Shelf) -> PairedTake:
@@ -130,13 +128,10 @@ def _made(work: Work) -> PairedTake:
     )
 
 
-def told(work: Work) -> PairedTake | FtcalError:
-    """Return `paired_take(work)`, or what a user can mend, which another process could not raise.
-
-    An error that travels as a value keeps its kind.
-    """
+def told(work: Work, shelf: Shelf | None) -> PairedTake | FtcalError:
+    """Return `paired_take(work, shelf)`, or the error: as a value it travels and keeps its kind."""
     try:
-        return paired_take(work)
+        return paired_take(work, shelf)
     except FtcalError as error:
         return error
 
@@ -158,7 +153,8 @@ def paired_takes(
     steps.begin("pairing recordings")
     found: dict[str, PairedTake] = {}
     faults: dict[str, FtcalError] = {}
-    for label, result in where.run(told, work_of(job, robot, channels, shelf)):
+    task = partial(told, shelf=shelf)
+    for label, result in where.run(task, work_of(job, robot, channels)):
         steps.begin(f"paired {label}")
         match result:
             case PairedTake():

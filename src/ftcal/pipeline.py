@@ -8,7 +8,7 @@ is the same to the last bit.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -98,11 +98,14 @@ def fitted(
         sensors=[sensor_calibration(job, outcome) for outcome in outcomes],
         provenance=provenance(job, robot, [take.outline.digest for take in takes]),
     )
-    sections = tuple(map(PairedTake.section, takes, job.recordings))
+    together = list(zip(job.recordings, takes, strict=True))
     return Outcome(
-        job.model_copy(update={"recordings": sections}),
+        job.model_copy(update={"recordings": tuple(take.section(one) for one, take in together)}),
         robot,
-        tuple(take.outline for take in takes),
+        # on a shelf, or on another machine, the log had another path
+        tuple(
+            replace(take.outline, source=str(job.path(section.log))) for section, take in together
+        ),
         Logs(job),
         tuple((take.outline.name, finding) for take in takes for finding in take.findings),
         tuple(outcomes),

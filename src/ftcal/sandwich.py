@@ -60,10 +60,10 @@ def robust_posterior(
     penalty = problem.penalties(kappa, noise)[:, None]
     held = d + penalty
     bend = np.maximum(kappa, shown_bend(problem, noise))[:, None]
-    variance = (penalty / held * bend) ** 2 + power / held**2
     # directions that were taken out (`along`) hold no noise either
-    moves = np.broadcast_to(d > d[-1] * len(d) * np.finfo(float).eps, held.shape)
-    bias = np.divide(drawn(problem, E) @ V, held, out=np.zeros_like(held), where=moves) @ V.T
+    moves = d > d[-1] * len(d) * np.finfo(float).eps
+    variance = (penalty / held * bend) ** 2 + np.where(moves, power / held**2, 0.0)
+    bias = np.where(moves, drawn(problem, E) @ V / held, 0.0) @ V.T
     spread = np.einsum("pj,ij,qj->ipq", V, variance, V)
     return problem.estimate(E, spread + bias[:, :, None] * bias[:, None, :])
 

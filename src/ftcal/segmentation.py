@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ftcal.all_sensors import balanced
 from ftcal.balance_steps import unrest_in_balances
+from ftcal.balanced_take import balanced
 from ftcal.balances import Balance
 from ftcal.config import Job, RecordingSection
 from ftcal.errors import DataError, RobotError

@@ -14,15 +14,8 @@ import numpy as np
 
 from ftcal.law import Law
 from ftcal.terms import MODEL, Frame, Segment, Terms
-from ftcal.whole_body import (
-    FIRST_MEMORY,
-    FIRST_SD,
-    Group,
-    GroupNoise,
-    Normal,
-    Unknowns,
-    offsets_alone,
-)
+from ftcal.unknowns import Group, GroupNoise, Normal, Unknowns, offsets_alone
+from ftcal.whole_body import FIRST_MEMORY, FIRST_SD
 
 if TYPE_CHECKING:
     from jaxtyping import Float

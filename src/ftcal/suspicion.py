@@ -11,7 +11,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ftcal.all_sensors import BalancedTake, WholeBody
+from ftcal.all_sensors import WholeBody
+from ftcal.balanced_take import BalancedTake
 from ftcal.bench import Bench
 from ftcal.config import Job, RecordingSection
 from ftcal.pairing import FtChannel

@@ -183,6 +183,9 @@ def _sum(
     index = np.minimum(
         ((balance.time - balance.time[0]) / max(span, 1e-9) * cells).astype(int), cells - 1
     )
+    # a hole may leave a cell empty: none is kept of it
+    found, index = np.unique(index, return_inverse=True)
+    cells = len(found)
     weights = np.ones(cells) if weights is None else weights
     root = np.sqrt(weights)[index]
     products = np.zeros((equations, width, width))
@@ -195,7 +198,7 @@ def _sum(
         opens = np.flatnonzero(np.diff(index[rows], prepend=-1))
         sums[index[rows][opens]] += np.add.reduceat(table, opens, axis=1).transpose(1, 0, 2)
     held = np.bincount(index, minlength=cells)
-    sums /= np.maximum(held, 1)[:, None, None]
+    sums /= held[:, None, None]
     count = float(held @ weights)
     return Terms(
         stretch, balance.sub_model, sensors, segments, count, products, sums, weights, suspected

@@ -11,13 +11,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ftcal.all_sensors import SensorResult, WholeBody, both
+from ftcal.all_sensors import WholeBody
+from ftcal.balanced_take import both
 from ftcal.calibration import Calibration, Centre, ChosenBy, Offset, SensorCalibration
 from ftcal.config import Job
 from ftcal.contact import ContactSchedule
 from ftcal.diagnosis import Diagnosis, diagnose
 from ftcal.errors import DataError, RobotError
 from ftcal.evidence import provenance, sensor_record
+from ftcal.judging import SensorResult
 from ftcal.model_errors import Tried, calibrate_suspecting
 from ftcal.noise import Noise
 from ftcal.pairing import FtChannel

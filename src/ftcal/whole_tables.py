@@ -12,7 +12,7 @@ from rich.padding import Padding
 from rich.table import Table
 from rich.text import Text
 
-from ftcal.all_sensors import SensorResult
+from ftcal.judging import SensorResult
 from ftcal.report.whole_metrics import means, move_words, on_the_prior, undetermined
 from ftcal.report.words import percent
 from ftcal.sensor import AXES

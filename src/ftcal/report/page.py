@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ftcal import plots
-from ftcal.all_sensors import SensorResult
 from ftcal.calibration import SensorCalibration
+from ftcal.judging import SensorResult
 from ftcal.one_sensor import SensorOutcome
 from ftcal.recording import Finding, Recording
 from ftcal.report.album import (

@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ftcal.all_sensors import LEAST_SHARE, Residual, SensorResult, WholeBody, loose_scales
+from ftcal.all_sensors import WholeBody
 from ftcal.balances import Leftover
+from ftcal.judging import LEAST_SHARE, Residual, SensorResult, loose_scales
 from ftcal.model_errors import Move, Tried
 from ftcal.plots import Node
 from ftcal.report.scorecard import by_axis, finite, scores_metrics

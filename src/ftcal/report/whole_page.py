@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 from ftcal import plots
-from ftcal.all_sensors import SensorResult, loose_scales
+from ftcal.judging import SensorResult, loose_scales
 from ftcal.report.album import Album, Table, residual_figures
 from ftcal.report.page import health_section, matrices, table_of
 from ftcal.report.rendering import rendered

@@ -1,0 +1,66 @@
+"""Hours of data cost no more algebra than minutes, and say the same of their noise."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from ftcal import fit
+from ftcal.folds import MOST_CELLS, by_segment, cells
+from ftcal.samples import Samples
+from pretend import workbench
+
+GAIN = workbench().gain
+RATE = 100
+
+
+def remembering(count: int, memory: int, seed: int) -> Samples:
+    """Return samples whose residual is unit noise averaged over `memory` samples."""
+    rng = np.random.default_rng(seed)
+    kernel = np.full(memory, memory**-0.5)
+    white = rng.normal(size=(count + memory - 1, 6))
+    noise = np.stack([np.convolve(column, kernel, "valid") for column in white.T], axis=1)
+    channels = rng.normal(size=(count, 6))
+    time = np.arange(count) / RATE
+    wrench = channels @ GAIN.T + noise + 5.0
+    return Samples("pretend", 0.0, float(time[-1]), time, channels, wrench)
+
+
+@pytest.mark.parametrize("memory", [1, 10, 100])
+def test_means_of_cells_say_how_many_samples_count_as_one(
+    monkeypatch: pytest.MonkeyPatch, memory: int
+) -> None:
+    segments = [remembering(30_000, memory, seed) for seed in range(2)]
+    groups = by_segment(cells(segments, 0.5))
+    by_samples = fit.repetition(groups, GAIN)
+    monkeypatch.setattr(fit, "MANY", 0)
+    by_means = fit.repetition(groups, GAIN)
+    # three standard errors of both: sqrt(2 (2 M + 1) / N), M = 5 memory lags (Sokal); of the 1200
+    # means M is at least 5 as well
+    count = sum(map(len, segments))
+    for found, lags, terms in ((by_samples, 5.0 * memory, count), (by_means, 10.0, count / 50)):
+        error = 3.0 * np.sqrt(2.0 * (2.0 * lags + 1.0) / terms)
+        np.testing.assert_allclose(found, memory, rtol=error)
+
+
+def test_a_perfect_fit_of_long_data_repeats_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    some = remembering(2_000, 1, 0)
+    perfect = Samples("pretend", 0.0, 20.0, some.time, some.channels, np.zeros((2_000, 6)))
+    monkeypatch.setattr(fit, "MANY", 0)
+    found = fit.repetition(by_segment(cells([perfect], 0.5)), np.zeros((6, 6)))
+    np.testing.assert_array_equal(found, np.ones(6))
+
+
+def test_cells_of_hours_are_longer_and_lose_nothing() -> None:
+    time = np.arange(200_000) * 0.1  # five and a half hours in all
+    table = np.random.default_rng(0).normal(size=(len(time), 6))
+    halves = [slice(None, 120_000), slice(120_000, None)]
+    segments = [
+        Samples("pretend", float(time[some][0]), float(time[some][-1]), time[some], table[some],
+                table[some])
+        for some in halves
+    ]  # fmt: skip
+    tiles = cells(segments, 0.5)
+    assert abs(len(tiles) - MOST_CELLS) <= len(segments)
+    assert sum(len(tile.samples) for tile in tiles) == len(time)
+    assert min(tile.moments.count for tile in tiles) > 40
