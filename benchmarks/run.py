@@ -104,8 +104,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     print("", *(markdown(records) if told.markdown else table(records, said)), sep="\n")
     print(f"{here['cpu']}, {here['cores']} cores, load {here['load']:.1f} at the start")
     where = "" if same else " (another machine than the baseline's: told, not counted)"
-    print(*(f"regression{where}: {one}" for one in fallen), sep="\n")
-    print(*(f"failed: {name}" for name in failed), sep="\n")
+    for line in [f"regression{where}: {one}" for one in fallen] + [f"failed: {n}" for n in failed]:
+        print(line)
     if told.update and not failed:
         BASELINE.write_text(text)
         README.write_text(into_readme(README.read_text(), records))

@@ -127,7 +127,9 @@ def test_a_smoke_run_measures_and_checks_the_numbers(name: str, tmp_path: Path) 
             pytest.importorskip(oracle)
     file = tmp_path / "records.json"
     command = [sys.executable, str(BENCHMARKS / "run.py"), "--quick", "--only", name]
-    ended = subprocess.run([*command, "--json", str(file)], capture_output=True, text=True)
+    ended = subprocess.run(
+        [*command, "--json", str(file)], check=False, capture_output=True, text=True
+    )
     assert ended.returncode == 0, ended.stderr
     measured = json.loads(file.read_text())
     assert measured["machine"]["cores"] > 0

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from ftcal import fit
 from ftcal.folds import MOST_CELLS, by_segment, cells
+from ftcal.moments import Moments
 from ftcal.samples import Samples
 from pretend import workbench
 
@@ -32,8 +37,9 @@ def test_means_of_cells_say_how_many_samples_count_as_one(
 ) -> None:
     segments = [remembering(30_000, memory, seed) for seed in range(2)]
     groups = by_segment(cells(segments, 0.5))
+    monkeypatch.setattr(fit, "MANY", 60_000)
     by_samples = fit.repetition(groups, GAIN)
-    monkeypatch.setattr(fit, "MANY", 0)
+    monkeypatch.setattr(fit, "MANY", 59_999)
     by_means = fit.repetition(groups, GAIN)
     # three standard errors of both: sqrt(2 (2 M + 1) / N), M = 5 memory lags (Sokal); of the 1200
     # means M is at least 5 as well
@@ -64,3 +70,18 @@ def test_cells_of_hours_are_longer_and_lose_nothing() -> None:
     assert abs(len(tiles) - MOST_CELLS) <= len(segments)
     assert sum(len(tile.samples) for tile in tiles) == len(time)
     assert min(tile.moments.count for tile in tiles) > 40
+
+
+@given(st.lists(st.integers(1, 9), min_size=1, max_size=1200), st.integers(0, 2**32 - 1))
+@settings(max_examples=30, deadline=None)
+def test_moments_of_pieces_are_those_of_each(counts: list[int], seed: int) -> None:
+    edges = np.cumsum([0, *counts])
+    rows = 3e4 + 100.0 * np.random.default_rng(seed).normal(size=(edges[-1], 3))
+    for piece, (start, stop) in zip(
+        Moments.of_each(rows, edges), itertools.pairwise(edges), strict=True
+    ):
+        alone = Moments.of(rows[start:stop])
+        assert piece.count == alone.count
+        np.testing.assert_allclose(piece.mean, alone.mean, rtol=1e-14)
+        # nine rows of a spread of 100: a scatter of 1e5 at most, each term rounded from 3e4
+        np.testing.assert_allclose(piece.scatter, alone.scatter, rtol=1e-12, atol=1e-9)

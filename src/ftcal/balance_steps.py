@@ -45,7 +45,8 @@ def unrest_in_balances(
     """Return what disturbed each sensor, by its name; arguments are those of `balance_problem`.
 
     A step that another sensor explains as well is given to both, and the messages say so. A touch
-    of a sub-model is one of every sensor on its border.
+    of a sub-model is one of every sensor on its border; one that enters by its mass departs from it
+    whenever what is not logged moves, and nothing is said of that.
     """
     problem, sensors = balance_problem(
         balances, frames, smoothing=smoothing, model=model, breaks=breaks
@@ -71,9 +72,11 @@ def unrest_in_balances(
                 if step in at_time(steps[i], event.time) else step
                 for step in steps[i]
             ]  # fmt: skip
+    whole = {balance.sub_model for balance in balances if not balance.by_mass}
     touches = {
         sub_model: touch_messages(f"{sub_model}: touched? it", some)
         for sub_model, some in spans.items()
+        if sub_model in whole
     }
     border = {balance.sub_model: balance.inputs for balance in balances}
     return {

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import threading
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
@@ -82,6 +83,18 @@ class Here:
             yield name, attempted(task, argument)
 
 
+def end_with_parent() -> None:
+    """End this worker when whoever started it is gone, killed without a chance to say so."""
+    parent = multiprocessing.parent_process()
+
+    def watch() -> None:
+        if parent is not None:
+            parent.join()
+            os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
+
+
 @dataclass(frozen=True, slots=True)
 class Processes:
     """A pool of processes on this machine."""
@@ -114,7 +127,8 @@ class Processes:
         """Yield what a pool finished before it broke, if it does."""
         # a forked copy of a process with threads (BLAS, Arrow) may hang
         spawn = multiprocessing.get_context("spawn")
-        with ProcessPoolExecutor(min(workers, len(pieces)), mp_context=spawn) as pool:
+        size = min(workers, len(pieces))
+        with ProcessPoolExecutor(size, mp_context=spawn, initializer=end_with_parent) as pool:
             names: dict[Future[B | Failure], str] = {}
             for name, argument in pieces.items():
                 try:

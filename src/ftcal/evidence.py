@@ -41,7 +41,8 @@ def sensor_calibration(job: Job, outcome: SensorOutcome) -> SensorCalibration:
     """Return the part of `calibration.json` for one sensor."""
     channel, ft, found = outcome.channel, outcome.sensor, outcome.fit
     strength = found.penalty if found.kappa is None else float(found.kappa[0])
-    tiles = cells((*outcome.training, *outcome.test), job.signals.smoothing)
+    # an offset needs the moments of whole segments
+    tiles = cells((*outcome.training, *outcome.test), np.inf)
     return sensor_record(
         channel,
         ft,

@@ -44,8 +44,9 @@ NOISE_ROUNDS = 4
 KAPPAS = np.geomspace(3e-4, 0.3, 31)
 """Prior strengths tried, in fractions of full scale."""
 
-MANY = 2**17
-"""Samples beyond which the means of cells say how many of them count as one."""
+MANY = 2**15
+"""Samples beyond which the means of cells say how many of them count as one: smoothed samples
+remember about a cell, so the means tell it as well."""
 
 ROBUST_ROUNDS = 2
 """Rounds of fit and weights; a third moves the entries by less than their error."""

@@ -1,4 +1,4 @@
-"""Many robots at once: whose sensors have drifted since they were last calibrated?
+"""Many robots at once, and whose sensors have drifted since they were last calibrated.
 
 A robot is a folder with a `job.toml`. All recordings of all robots are paired in one go, wherever
 there are processors (`ftcal.compute`), each kept on a shelf as it is done; then every robot is
@@ -8,38 +8,27 @@ the shelf under the hash of what made it, and beside a robot's results is one of
 
 from __future__ import annotations
 
-import hashlib
-import json
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Literal
 
-from ftcal import __version__
 from ftcal.archive import Shelf
-from ftcal.calibration import Calibration, read_calibration, to_json, write_whole
+from ftcal.calibration import read_calibration
 from ftcal.compute import Executor, Failure
 from ftcal.config import Job, read_job
 from ftcal.drift import Drift, drift
-from ftcal.errors import FtcalError, JobError, SensorError
-from ftcal.paired_takes import KINDS, Work, known_robot, take_at, work_of
+from ftcal.errors import FtcalError, JobError
+from ftcal.fleet_robot import CALIBRATION, PREVIOUS, Fitting, fit_robot
+from ftcal.paired_takes import KINDS, Work, take_at, work_of
 from ftcal.pairing import FtChannel
-from ftcal.pipeline import described, fitted
+from ftcal.pipeline import described
 from ftcal.progress import Progress, Steps, silent
 from ftcal.remote import fetched, is_url
-from ftcal.report import metrics, whole_metrics, write_outcome
-from ftcal.report import write_whole as write_all_sensors
 from ftcal.verdict import Verdict, Word, overall
-from ftcal.whole_pipeline import calibrate_whole_body
 
 JOB = "job.toml"
-CALIBRATION, METRICS, REPORT = "calibration.json", "metrics.json", "report.html"
-PREVIOUS = "previous.json"
-"""The calibration that the latest took the place of."""
-RECEIPT = "fleet.json"
-"""What a robot's results were made from."""
 
 Changed = Literal["drifted", "steady", "exchanged", "new"]
 """What became of a sensor; `exchanged`: it has another Workbench, `new`: nothing to compare."""
@@ -101,33 +90,6 @@ class Member:
     channels: tuple[FtChannel, ...]
     work: dict[str, Work]
     """Its recordings by name."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Fitting:
-    """One robot that is to be fitted; small, for it travels."""
-
-    job: Job
-    """With the recordings that could be paired alone."""
-    robot: str
-    """Digest of its description."""
-    channels: tuple[FtChannel, ...]
-    work: tuple[Work, ...]
-    places: tuple[str, ...]
-    """Names of the recordings on the shelf."""
-    folder: Path
-    """Where the results go."""
-
-    @property
-    def made_from(self) -> str:
-        """Hash of all that the results depend on."""
-        told = {
-            "ftcal": __version__,
-            "job": [self.job.digest, self.job.model_dump(mode="json")],
-            "robot": self.robot,
-            "recordings": self.places,
-        }
-        return hashlib.sha256(json.dumps(told, sort_keys=True).encode()).hexdigest()
 
 
 def run_fleet(
@@ -248,66 +210,6 @@ def fitting(robot: str, member: Member, kept: Mapping[str, str], folder: Path) -
         tuple(kept[f"{robot}: {label}"] for label in paired),
         folder,
     )
-
-
-def fit_robot(work: Fitting, shelf: Shelf, *, report: bool) -> bool:
-    """Fit a robot and write its results, unless they are there already; return whether it was.
-
-    Raises `FtcalError` where it cannot be calibrated; results of before are then left alone.
-    """
-    results = [CALIBRATION, METRICS, *([REPORT] if report else [])]
-    receipt = to_json({"made_from": work.made_from})
-    if all((work.folder / name).is_file() for name in results):
-        with suppress(OSError):
-            if (work.folder / RECEIPT).read_bytes() == receipt:
-                return False
-    if not work.job.recordings:
-        raise JobError(f"{work.job.file}: none of its recordings could be read")
-    if work.job.fit.scope == "whole body":
-        whole = calibrate_whole_body(work.job)
-        replaced(work.folder, whole.calibration)
-        if report:
-            write_all_sensors(whole, work.folder)
-        else:
-            written(work.folder, whole.calibration, whole_metrics(whole))
-    else:
-        robot = known_robot(work.job.path(work.job.robot), work.robot)
-        takes = [
-            take_at(shelf.folder / place, one, shelf)
-            for place, one in zip(work.places, work.work, strict=True)
-        ]
-        outcome = fitted(work.job, robot, work.channels, takes, Steps(silent, 1))
-        replaced(work.folder, outcome.calibration)
-        if report:
-            write_outcome(outcome, work.folder)
-        else:
-            written(work.folder, outcome.calibration, metrics(outcome))
-    write_whole(work.folder / RECEIPT, receipt)
-    return True
-
-
-def replaced(folder: Path, fresh: Calibration) -> None:
-    """Keep the calibration that a fresh one takes the place of, unless both say the same.
-
-    They do where a run ended between results and receipt.
-    """
-    now = folder / CALIBRATION
-    with suppress(SensorError):
-        if now.exists() and said(read_calibration(now)) != said(fresh):
-            write_whole(folder / PREVIOUS, now.read_bytes())
-
-
-def said(calibration: Calibration) -> dict[str, object]:
-    """Return what a calibration says, whenever it was made."""
-    return calibration.model_dump(exclude={"provenance": {"created"}})
-
-
-def written(folder: Path, calibration: Calibration, figures: dict[str, object]) -> None:
-    """Write the results of a robot without a report."""
-    # one of before would show other figures
-    (folder / REPORT).unlink(missing_ok=True)
-    write_whole(folder / METRICS, to_json(figures))
-    write_whole(folder / CALIBRATION, to_json(calibration))
 
 
 def states(now: Path, before: Path) -> Iterator[SensorState]:

@@ -18,13 +18,13 @@ WORST_FIRST = ("drifted", "exchanged", "steady", "new")
 
 
 def rows(fleet: Fleet) -> list[tuple[RobotState, SensorState]]:
-    """Return every calibrated sensor, worst first: by what became of it, then by how much."""
+    """Return every calibrated sensor, worst first: by what became of it, then by how surely."""
     every = [(robot, sensor) for robot in fleet.robots for sensor in robot.sensors]
 
     def badness(row: tuple[RobotState, SensorState]) -> tuple[int, float, str, str]:
         robot, sensor = row
-        share = sensor.drift.share if sensor.drift else 0.0
-        return WORST_FIRST.index(sensor.changed), -share, robot.name, sensor.sensor
+        sd = sensor.drift.sd if sensor.drift else 0.0
+        return WORST_FIRST.index(sensor.changed), -sd, robot.name, sensor.sensor
 
     return sorted(every, key=badness)
 

@@ -15,8 +15,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
-    from jaxtyping import Float
+    from jaxtyping import Float, Int
     from numpy import ndarray as Array
+
+
+PIECES = 500
+"""Pieces of a table whose moments are taken at once: they stay in the cache."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,6 +45,26 @@ class Moments:
         # a rounded mean leaves a rest of order eps * |mean|: take it out of the scatter as well
         rest = centred.mean(axis=0)
         return Moments(count, mean + rest, centred.T @ centred - count * np.outer(rest, rest))
+
+    @staticmethod
+    def of_each(rows: Float[Array, "N D"], edges: Int[Array, "E"]) -> list[Moments]:
+        """Return the moments of the pieces of a table that begin and end at `edges`, none empty."""
+        found: list[Moments] = []
+        for at in range(0, len(edges) - 1, PIECES):
+            starts = edges[at : at + PIECES + 1]
+            counts = np.diff(starts)
+            inside = rows[starts[0] : starts[-1]]
+            starts = starts[:-1] - starts[0]
+            mean = np.add.reduceat(inside, starts, axis=0) / counts[:, None]
+            which = np.repeat(np.arange(len(counts)), counts)
+            # rows that a shorter piece lacks stay zero, and add nothing
+            centred = np.zeros((len(counts), counts.max(), rows.shape[1]))
+            centred[which, np.arange(len(inside)) - starts[which]] = inside - mean[which]
+            rest = centred.sum(axis=1) / counts[:, None]
+            scatter = centred.transpose(0, 2, 1) @ centred
+            scatter -= counts[:, None, None] * (rest[:, :, None] * rest[:, None, :])
+            found += map(Moments, counts.tolist(), mean + rest, scatter)
+        return found
 
     def __add__(self, other: Moments) -> Moments:
         """Return the moments of both tables stacked, which share one mean."""
@@ -83,7 +107,7 @@ def total(parts: Sequence[Moments]) -> Moments:
     if count == 0:
         return parts[0]
     # about one of the means: the others are near it, zero is not
-    near = max(parts, key=lambda part: part.count).mean
+    near = parts[int(counts.argmax())].mean
     steps = np.array([part.mean for part in parts]) - near
     step = counts @ steps / count
     apart = steps - step

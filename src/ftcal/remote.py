@@ -12,12 +12,14 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 from ftcal.calibration import write_whole
-from ftcal.errors import JobError
+from ftcal.errors import JobError, OutputError
 from ftcal.progress import Progress, silent
 
 MARKS = ("size", "ETag", "etag", "mtime", "LastModified", "last_modified", "md5Hash", "ino",
          "created")  # fmt: skip
 """What file systems call that which changes with a file."""
+
+OUTSIDE = "its name leads out of the folder"
 
 CHUNK = 1 << 24
 """Bytes that are held in memory while a file is fetched."""
@@ -47,11 +49,14 @@ def fetched(url: str, folder: Path, *, progress: Progress = silent) -> tuple[Pat
     base = folder / hashlib.sha256(url.encode()).hexdigest()[:16]
     faults: dict[str, str] = {}
     for number, (name, known) in enumerate(sorted(told.items())):
-        below = PurePosixPath(name).relative_to(PurePosixPath(root)).as_posix()
+        below = PurePosixPath(name).relative_to(PurePosixPath(root))
         progress(f"fetching {below}", number, len(told))
-        reason = fetch(far, name, known, base / "files" / below, base / "marks" / f"{below}.json")
+        here, mark = base / "files" / below, base / "marks" / f"{below}.json"
+        # names are those of a stranger
+        outside = ".." in below.parts
+        reason = OUTSIDE if outside else fetch(far, name, known, here, mark)
         if reason:
-            faults[below] = reason
+            faults[below.as_posix()] = reason
     return base / "files", faults
 
 
@@ -60,11 +65,17 @@ def fetch(far: Any, name: str, known: dict[str, Any], here: Path, mark: Path) ->
     told = json.dumps({key: str(known[key]) for key in MARKS if known.get(key) is not None})
     if here.is_file() and mark.is_file() and mark.read_text() == told:
         return ""
-    # a mark vouches for the file: it goes first and comes last
-    mark.unlink(missing_ok=True)
+    part = mark.with_suffix(".part")
     try:
         here.parent.mkdir(parents=True, exist_ok=True)
-        part = here.with_name(f".{here.name}.part")
+        mark.parent.mkdir(parents=True, exist_ok=True)
+        # a mark vouches for the file: it goes first and comes last
+        mark.unlink(missing_ok=True)
+    except OSError as error:
+        raise OutputError(
+            f"{here}: cannot be written ({error.strerror}); name another folder with --cache"
+        ) from error
+    try:
         with far.open(name, "rb") as source, part.open("wb") as target:
             while block := source.read(CHUNK):
                 target.write(block)

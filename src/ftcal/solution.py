@@ -64,10 +64,12 @@ class Solution:
             theta[place] = self.entries[name].ravel()
         for name in unknowns.models:
             theta[unknowns.model(name)] = self.inertia.get(name, np.zeros(MODEL))
+        for key in unknowns.places.keys() & self.offsets.keys():
+            theta[unknowns.places[key]] = self.offsets[key]
         usual = {g: noise.get(g, GroupNoise(FIRST_SD[g[1] == "torque"], FIRST_MEMORY))
                  for g in normal.products}  # fmt: skip
-        found = Solution.of(unknowns, offsets_alone(normal, usual, theta))
-        return replace(self, offsets={**found.offsets, **self.offsets})
+        found = Solution.of(unknowns, offsets_alone(normal, usual, theta, self.offsets))
+        return replace(self, offsets={**self.offsets, **found.offsets})
 
     def law(self, sensor: str, frame: Frame, segment: Segment, reference: Float[Array, "P"]) -> Law:
         """Return the law of a sensor in a segment of a recording; `reference` is r0."""

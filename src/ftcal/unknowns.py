@@ -7,7 +7,7 @@ noise and prior may change without a second pass over the data.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Container, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -241,19 +241,25 @@ def solve(
 
 
 def offsets_alone(
-    normal: Normal, noise: Mapping[Group, GroupNoise], theta: Float[Array, "U"] | None = None
+    normal: Normal,
+    noise: Mapping[Group, GroupNoise],
+    theta: Float[Array, "U"] | None = None,
+    known: Container[tuple[str, Segment]] = (),
 ) -> Float[Array, "U"]:
     """Return the unknowns with the offsets that suit best, all else as in `theta`.
 
-    Without it every matrix is the Workbench's and every inertia the robot description's.
+    Offsets that are `known` stay as well. Without `theta` every matrix is the Workbench's and every
+    inertia the robot description's.
     """
     unknowns = normal.unknowns
-    first = unknowns.described
     found = np.zeros(unknowns.count) if theta is None else theta.copy()
-    A = normal.information(noise)[first:]
-    pull = normal.pull(noise)[first:] - A[:, :first] @ found[:first]
-    held = A[:, first:] + np.eye(unknowns.count - first)
-    found[first:] = np.linalg.solve(held, pull)
+    free = np.zeros(unknowns.count, dtype=bool)
+    for key, place in unknowns.places.items():
+        free[place] = key not in known
+    found[free] = 0.0
+    A = normal.information(noise)[free]
+    pull = normal.pull(noise)[free] - A @ found
+    found[free] = np.linalg.solve(A[:, free] + np.eye(int(free.sum())), pull)
     return found
 
 

@@ -144,7 +144,7 @@ class Choice:
     """Held-out mean square over the noise's, by strength and stretch."""
     stretches: tuple[str, ...]
     chosen: float
-    """The weakest of the best."""
+    """The strongest prior that is as good as the best."""
 
 
 def robust_weights(terms: Sequence[Terms], posterior: Posterior) -> Weights:
@@ -172,10 +172,13 @@ def choose_kappa(
     noise: Mapping[Group, GroupNoise],
     kappas: Float[Array, "L"] = KAPPAS,
 ) -> Choice:
-    """Return the prior strength that predicts stretches which it did not see best.
+    """Return the prior strength that predicts stretches which it did not see as well as the best.
 
     Every stretch is left out in turn. Offsets that the others know are kept; where one is not
-    known, the balance is scored about its mean. Raises `DataError` with fewer than two stretches.
+    known, the balance is scored about its mean. Of strengths whose errors differ from the least by
+    no more than one standard error over the stretches, the strongest prior is taken (L. Breiman et
+    al., "Classification and Regression Trees", 1984, section 3.4.3): stretches are few, and what
+    they do not tell is better left to the Workbench. Raises `DataError` with fewer than two.
     """
     folds = stretches_of(terms)
     if len(folds) < 2:
@@ -190,10 +193,13 @@ def choose_kappa(
         known = {g: noise[g] for g in normal.products}
         for k, theta in enumerate(path(normal, known, kappas)):
             error[k, h] = held_out(held, normal.unknowns, theta, noise)
-    score = np.log(np.maximum(error, np.finfo(float).tiny)).mean(axis=1)
-    best = int(np.flatnonzero(score <= score.min() + 0.01)[-1])
+    score = np.log(np.maximum(error, np.finfo(float).tiny))
+    best = int(score.mean(axis=1).argmin())
+    worse = score - score[best]
+    spread = worse.std(axis=1, ddof=1) / np.sqrt(len(folds))
+    as_good = np.flatnonzero(worse.mean(axis=1) <= spread)
     names = tuple(f"{recording} {start:g} s" for recording, start in folds)
-    return Choice(np.asarray(kappas), error, names, float(kappas[best]))
+    return Choice(np.asarray(kappas), error, names, float(kappas[as_good[0]]))
 
 
 def held_out(
