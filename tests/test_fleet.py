@@ -32,6 +32,7 @@ from ftcal.paired_takes import KINDS, paired_take, work_of
 from ftcal.pipeline import calibrate, described
 from ftcal.remote import fetched
 from ftcal.takes import Logs
+from ftcal.whole_pipeline import calibrate_whole_body
 from pretend import FULL_SCALE
 from small_world import JOB, JOINTS, PRIOR, robot_text, take, write_log, write_world
 
@@ -52,12 +53,12 @@ def said_in(file: Path) -> dict[str, Any]:
 
 
 def warm_job(folder: Path) -> Job:
-    """Return a job of three recordings with a thermometer, an offset that steps, and a search."""
+    """Return a job of two recordings with a thermometer; the offset of the first steps."""
     folder.mkdir(exist_ok=True)
     job = write_world(folder)
-    for number in (3, 4):
+    for number, step in ((3, 900.0), (4, 0.0)):
         stamps, joints, channels = take(number)
-        channels = channels + np.outer(stamps > 20.0, np.full(6, 900.0))
+        channels = channels + step * (stamps > 20.0)[:, None]
         heat = 30.0 + number + 0.05 * stamps
         names = ["time", *JOINTS, *(f"ft/{axis}" for axis in AXES), "ft/temperature"]
         columns = [stamps, *joints.T, *channels.T, heat]
@@ -66,12 +67,12 @@ def warm_job(folder: Path) -> Job:
         )
     text = JOB.format(full_scale=", ".join(map(str, FULL_SCALE))).split("[[recordings]]")[0]
     text += 'temperature = "heat"\n'
-    for number in (3, 4):
+    for number, searched in ((3, 'breaks = "auto"'), (4, "")):
         text += f"""
 [[recordings]]
 log = "t{number}.parquet"
 contact = "base"
-breaks = "auto"
+{searched}
 temperatures = {{ heat = "ft/temperature" }}
 """
     job.write_text(text)
@@ -105,7 +106,7 @@ def cluster() -> Iterator[Cluster]:
 def test_the_warm_job_shows_what_it_is_for(serial: dict[str, Any]) -> None:
     (sensor,) = serial["sensors"]
     assert sensor["reference_temperature"] == pytest.approx(34.5, abs=0.1)
-    assert [offset["recording"] for offset in sensor["offsets"]] == ["t3", "t3", "t4", "t4"]
+    assert [offset["recording"] for offset in sensor["offsets"]] == ["t3", "t3", "t4"]
 
 
 def test_a_process_pool_calibrates_as_one_process_does_bit_for_bit(
@@ -132,12 +133,7 @@ def test_what_lies_on_the_shelf_is_found_and_gives_the_same_bits(
     assert said(first.calibration) == said(again.calibration) == serial
     assert again.findings == first.findings
     assert [one.source for one in again.recordings] == [one.source for one in first.recordings]
-
-
-def test_a_damaged_shelf_is_made_anew(warm: Job, serial: dict[str, Any], tmp_path: Path) -> None:
-    shelf = Shelf(tmp_path, KINDS)
-    calibrate(warm, shelf=shelf)
-    for file in tmp_path.iterdir():
+    for file in made:
         file.write_bytes(file.read_bytes()[:-100])
     assert said(calibrate(warm, shelf=shelf).calibration) == serial
 
@@ -274,7 +270,7 @@ def test_a_broken_recording_costs_itself_alone_and_is_named(herd: Path, tmp_path
     told = " ".join(result.stdout.split())
     assert "not calibrated: cat: " in told
     assert "'sensors' is missing" in told
-    assert "left out: bob: " in told
+    assert "left out: bob, t1: " in told
     assert "2 of 3" in told
     kept = said_in(out / "bob" / "calibration.json")["provenance"]["inputs"]
     assert [one["path"] for one in kept if one["role"] == "recording"] == ["t0.csv", "t2.csv"]
@@ -332,17 +328,29 @@ def test_killed_without_warning_a_run_goes_on_where_it_was(tmp_path: Path) -> No
     assert kept.items() <= stamps_of(cache).items()
 
 
-def test_a_pool_and_a_cluster_give_the_fleet_of_one_process(
+def test_a_cluster_gives_the_fleet_of_one_process(
     herd: Path, tmp_path: Path, cluster: Cluster
 ) -> None:
     here = run_fleet(str(herd), tmp_path / "here", where=Here())
-    pool = run_fleet(str(herd), tmp_path / "pool", where=Processes(2))
     far = run_fleet(str(herd), tmp_path / "far", where=cluster)
-    assert here == pool == far
+    assert here == far
     for name in ("ada", "bob", "lab/eve"):
-        files = [tmp_path / way / name / "calibration.json" for way in ("here", "pool", "far")]
-        one, two, three = map(said_in, files)
-        assert one == two == three
+        one, two = (tmp_path / way / name / "calibration.json" for way in ("here", "far"))
+        assert said_in(one) == said_in(two)
+
+
+def test_a_robot_whose_sensors_are_fitted_at_once_takes_part(tmp_path: Path) -> None:
+    write_robot(tmp_path / "herd" / "ada", 100)
+    job = tmp_path / "herd" / "ada" / "job.toml"
+    job.write_text(job.read_text() + '\n[fit]\nscope = "whole body"\n')
+    out = tmp_path / "out"
+    assert run_fleet(str(job.parent.parent), out, where=Here()).fitted == 1
+    alone = calibrate_whole_body(read_job(job)).calibration
+    assert said_in(out / "ada" / "calibration.json") == said(alone)
+    assert run_fleet(str(job.parent.parent), out, where=Here()).fitted == 0
+    write_robot(tmp_path / "new", 200)
+    shutil.copy(tmp_path / "new" / "t1.csv", job.parent)
+    assert run_fleet(str(job.parent.parent), out, where=Here()).fitted == 1
 
 
 def test_a_sensor_that_was_bent_is_first_and_one_newly_measured_is_steady(
@@ -379,7 +387,7 @@ def test_the_table_fits_a_terminal_and_names_what_could_not_be_done(
     table = [line for line in lines if "ft_sensor" in line]
     assert [line.split()[0] for line in table] == ["bob", "ada", "lab/eve"]
     assert max(map(len, table)) <= 100
-    assert [line for line in lines if line.startswith("left out: ada: ")]
+    assert [line for line in lines if line.startswith("left out: ada, t1: ")]
     done = "new in this run: 2 robots fitted, 2 recordings paired"
     assert lines[-1] == f"3 robots, 5 recordings; {done}"
 

@@ -9,7 +9,7 @@ import pytest
 
 from ftcal import takes
 from ftcal.config import read_job
-from ftcal.pipeline import calibrate, ft_channel
+from ftcal.pipeline import calibrate, ft_channel, score_calibration
 from ftcal.progress import Steps, silent
 from ftcal.takes import Takes
 from ftcal.urdf import read_robot
@@ -51,10 +51,9 @@ def test_outlines_say_when_signals_begin_and_end_and_hold_no_more(tmp_path: Path
             assert ends.columns == whole.columns
 
 
-def test_calibration_is_the_same_bit_for_bit(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_scores_are_the_same_bit_for_bit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     job = read_job(write_world(tmp_path))
-    kept = calibrate(job).calibration.sensors
+    known = calibrate(job).calibration
+    kept = score_calibration(known, job)["ft_sensor"].by_name
     monkeypatch.setattr(takes, "KEPT", 0)
-    assert calibrate(job).calibration.sensors == kept
+    assert score_calibration(known, job)["ft_sensor"].by_name == kept

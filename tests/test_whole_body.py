@@ -26,6 +26,7 @@ from ftcal.recording import Finding, Recording
 from ftcal.robot import Joint, Link, Robot
 from ftcal.scenario import Scenario
 from ftcal.sensor import AXES, Workbench
+from ftcal.solution import Solution
 from ftcal.spatial import pose
 from ftcal.staging import stage
 from ftcal.synthetic import read_truth
@@ -164,7 +165,7 @@ def test_swing_and_stance_together_recover_every_sensor_exactly() -> None:
     one = world()
     normal = normal_of(terms_of(one), frames_of(one))
     noise = white(normal, 1e-4, 1e-4)
-    posterior = Posterior(normal.unknowns, *solve(normal, noise, 0.1), 0.1, noise)
+    posterior = Posterior.of(normal, noise, 0.1)
     # entries are 0.02; the prior pulls with the square of noise over load
     assert farthest(posterior, one) < 1e-6
 
@@ -265,7 +266,7 @@ def gauge(sensors: int, *, sd: float = 3.0, weight: bool = False) -> Posterior:
     ]
     normal = normal_of(terms, frames)
     noise = white(normal, sd, sd / 50)
-    return Posterior(normal.unknowns, *solve(normal, noise, 0.05), 0.05, noise)
+    return Posterior.of(normal, noise, 0.05)
 
 
 def shares(posterior: Posterior, sensor: str) -> Float[Array, "6 6"]:
@@ -626,6 +627,25 @@ def test_a_recording_held_out_whole_is_read_with_offsets_of_its_own() -> None:
     }
     # the same seconds and more, of the same log
     assert left["later"] < 2 * left["take"]
+
+
+def test_a_new_offset_is_found_beside_the_known_one_of_its_neighbour() -> None:
+    prior = replace(workbench(1), logged="channels")
+    raw = np.random.default_rng(0).normal(size=(200, 6))
+    X, time = np.tile(np.eye(6), (200, 1, 1)), np.arange(200) / 100
+    shank = Balance("shank", time, {"hip": raw, "foot": raw}, {"hip": X, "foot": -X}, 0.0 * raw)
+    frames = {name: Frame.of(prior, 6) for name in shank.inputs}
+    references = {name: raw.mean(axis=0) for name in frames}
+    before, after = (Segment("take", *span) for span in ((-np.inf, 0.0), (0.0, np.inf)))
+    segments = {"hip": (ALWAYS,), "foot": (before, after)}
+    terms = summed(shank, "take", frames, references, segments, (0.0, 2.0), EXACT)
+    hip = np.array([0.05, -0.02, 0.01, 0.03, 0.0, -0.04])
+    nothing = {name: np.zeros((6, 6)) for name in frames}
+    fitted_before = Solution(nothing, {}, {("hip", ALWAYS): hip, ("foot", before): hip})
+    found = fitted_before.completed(terms, frames, {})
+    # both read the same load: at rest only the difference of their offsets is determined
+    np.testing.assert_allclose(found.offsets["foot", after], hip, atol=1e-4)
+    assert np.array_equal(found.offsets["hip", ALWAYS], hip)
 
 
 # ---------------------------------------------------------------------------------- bad input

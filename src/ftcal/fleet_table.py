@@ -76,9 +76,9 @@ def print_fleet(console: Console, fleet: Fleet) -> None:
         console.print(made)
     lines = [f"not calibrated: {one.name}: {one.reason}" for one in fleet.robots if one.reason]
     lines += [
-        f"left out: {robot.name}: {reason}"
+        f"left out: {robot.name}, {label}: {reason}"
         for robot in fleet.robots
-        for reason in robot.failed.values()
+        for label, reason in robot.failed.items()
     ]
     lines += [f"not fetched: {name}: {reason}" for name, reason in fleet.missing.items()]
     recordings = sum(len(robot.used) for robot in fleet.robots)

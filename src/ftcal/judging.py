@@ -191,10 +191,12 @@ def estimate_of(
     """Return the estimate of one sensor with the covariance of its rows, and the data's share."""
     width = len(frame.basis)
     place = posterior.unknowns.entries[sensor]
-    block = posterior.covariance[place, place].reshape(6, width, 6, width)
-    rows = np.stack([block[i, :, i, :] for i in range(6)])
+    rows, error = (
+        np.stack([all_of[place, place].reshape(6, width, 6, width)[i, :, i, :] for i in range(6)])
+        for all_of in (posterior.covariance, posterior.error)
+    )
     scale = frame.workbench.full_scale
-    covariance = scale[:, None, None] ** 2 * (frame.basis.T @ rows @ frame.basis)
+    covariance = scale[:, None, None] ** 2 * (frame.basis.T @ error @ frame.basis)
     found = frame.coefficients(posterior.entries(sensor))
     channels = frame.workbench.gain.shape[1]
     k = found[:, channels] if width > channels else None

@@ -214,8 +214,29 @@ class Posterior:
     unknowns: Unknowns
     theta: Float[Array, "U"]
     covariance: Float[Array, "U U"]
+    """What is unknown of them if the prior is right."""
     kappa: float
     noise: dict[Group, GroupNoise]
+    error: Float[Array, "U U"]
+    """How far they may be off if entries are as bent as the data show: the covariance, or more."""
+
+    @staticmethod
+    def of(
+        normal: Normal, noise: dict[Group, GroupNoise], kappa: float, bend: float = 0.0
+    ) -> Posterior:
+        """Return the unknowns with a prior of `kappa`; entries of E may be bent by `bend`.
+
+        A prior tighter than the truth draws the estimate A^+ b, A^+ = (A + K)^-1, towards zero by
+        A^+ K times the truth: the error is A^+ (A + K T K) A^+, with T the covariance of the
+        truth, and A^+ where T is 1 / K.
+        """
+        theta, covariance = solve(normal, noise, kappa)
+        if bend <= kappa:
+            return Posterior(normal.unknowns, theta, covariance, kappa, noise, covariance)
+        K, truth = (normal.unknowns.precision(one) for one in (kappa, bend))
+        drawn = covariance @ K
+        error = covariance - drawn @ covariance + drawn @ np.linalg.solve(truth, drawn.T)
+        return Posterior(normal.unknowns, theta, covariance, kappa, noise, 0.5 * (error + error.T))
 
     def entries(self, sensor: str) -> Float[Array, "6 P"]:
         """Return E of one sensor."""

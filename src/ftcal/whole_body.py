@@ -289,5 +289,4 @@ def fit_all(
             held = maximise_evidence(normal, noise)
         if abs(held - before) < 0.1 * before:
             break
-    theta, covariance = solve(normal, noise, held)
-    return Posterior(normal.unknowns, theta, covariance, held, noise), choice
+    return Posterior.of(normal, noise, held, maximise_evidence(normal, noise)), choice

@@ -195,7 +195,7 @@ def offset_records(fit: WholeBody, result: SensorResult) -> list[Offset]:
     name = result.channel.sensor
     unknowns, scale = fit.posterior.unknowns, fit.frames[name].workbench.full_scale
     keep = np.array([not verdict.use for verdict in result.verdicts])
-    covariance = np.diag(fit.posterior.covariance)
+    covariance = np.diag(fit.posterior.error)
     records = []
     for take in fit.takes:
         for segment in take.segments.get(name, ()):

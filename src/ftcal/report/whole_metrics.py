@@ -189,7 +189,7 @@ def inertias(outcome: WholeOutcome) -> list[Inertia]:
     for name in posterior.unknowns.models:
         place = posterior.unknowns.model(name)
         theta = posterior.theta[place]
-        sd = np.sqrt(np.diag(posterior.covariance)[place])
+        sd = np.sqrt(np.diag(posterior.error)[place])
         kilograms = prior.mass * described[name]
         found.append(
             Inertia(
@@ -240,7 +240,7 @@ def truth_of(
     check_shape(name, truth[name], workbench)
     channels = truth[name].shape[1]
     place = fit.posterior.unknowns.entries[name]
-    sd = np.sqrt(np.diag(fit.posterior.covariance)[place]).reshape(6, -1)
+    sd = np.sqrt(np.diag(fit.posterior.error)[place]).reshape(6, -1)
     return Truth(
         departure(truth[name], workbench.gain, workbench),
         fit.posterior.entries(name)[:, :channels],
