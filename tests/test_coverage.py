@@ -162,11 +162,11 @@ def coverage(some: np.ndarray) -> float:
 def test_ninety_percent_intervals_hold_85_to_95_percent_of_the_true_wrenches(
     sessions: dict[str, np.ndarray],
 ) -> None:
-    """87 %, with a standard error of 1.3 % between sessions, from a trained and a held-out take.
+    """91 %, with a standard error of 1.3 % between sessions, from a trained and a held-out take.
 
-    fx and fy hold 80 %: noise on a channel draws its gain towards zero in the direction that moves
-    least (8 times its noise), and no covariance of the fit holds that. With a tenth of the noise
-    they hold 88 and 96 %, all axes 90 %.
+    Single axes hold 88 to 94 %. Noise on a channel draws its gain towards zero in the direction
+    that moves least (8 times its noise): that is in the covariance, as large as it can be. With a
+    tenth of the noise all axes together hold 90 %, with three times as much 93 %.
     """
     right = sessions["right"]
     assert np.isfinite(right).all()
@@ -174,9 +174,9 @@ def test_ninety_percent_intervals_hold_85_to_95_percent_of_the_true_wrenches(
         assert 0.85 <= coverage(right[:, take]) <= 0.95
     for axis in range(6):
         # 50 sessions know the share of one axis within about 3 %
-        assert 0.75 <= coverage(right[..., axis]) <= 1.0
+        assert 0.8 <= coverage(right[..., axis]) <= 1.0
 
 
 def test_wrong_masses_are_the_exception(sessions: dict[str, np.ndarray]) -> None:
-    """25 %: a gain that reads all loads as too heavy leaves no residual that would show it."""
+    """28 %: a gain that reads all loads as too heavy leaves no residual that would show it."""
     assert coverage(sessions["wrong"]) < 0.5

@@ -9,7 +9,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -24,9 +24,9 @@ from ftcal.archive import Shelf
 from ftcal.cli import main
 from ftcal.compute import Cluster, Here, Processes
 from ftcal.config import Job, read_job
-from ftcal.drift import deviations, drift, limit
+from ftcal.drift import Drift, deviations, drift, limit
 from ftcal.errors import FtcalError, JobError, LogError
-from ftcal.fleet import Fleet, run_fleet
+from ftcal.fleet import Fleet, RobotState, SensorState, run_fleet
 from ftcal.fleet_table import print_fleet
 from ftcal.paired_takes import KINDS, paired_take, work_of
 from ftcal.pipeline import calibrate, described
@@ -158,12 +158,14 @@ def test_logs_are_read_when_they_are_looked_at(warm: Job) -> None:
         logs["t5"]
 
 
-def test_all_broken_recordings_are_told_at_once_wherever_they_were_read(tmp_path: Path) -> None:
+def test_all_broken_recordings_are_told_at_once_wherever_they_were_read(
+    tmp_path: Path, cluster: Cluster
+) -> None:
     job = warm_job(tmp_path)
     truncate(tmp_path / "t3.parquet")
     (tmp_path / "t4.parquet").unlink()
     with pytest.raises(LogError, match=r"t3\.parquet.*; .*no log at t4\.parquet") as caught:
-        calibrate(job, where=Processes(2))
+        calibrate(job, where=cluster)
     assert "\n" not in str(caught.value)
 
 
@@ -205,17 +207,25 @@ def write_robot(folder: Path, seed: int, *, bend: float = 0.0, count: int = 2) -
 
 
 @pytest.fixture(scope="module")
-def three_robots(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def three_robots(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Fleet]:
     folder = tmp_path_factory.mktemp("three")
     for number, name in enumerate(("ada", "bob", "lab/eve")):
-        write_robot(folder / name, 100 + 10 * number)
-    return folder
+        write_robot(folder / "herd" / name, 100 + 10 * number)
+    return folder, run_fleet(str(folder / "herd"), folder / "out", where=Here())
 
 
 @pytest.fixture
-def herd(three_robots: Path, tmp_path: Path) -> Path:
-    """Return a folder of three robots that a test may change."""
-    return Path(shutil.copytree(three_robots, tmp_path / "herd"))
+def first(three_robots: tuple[Path, Fleet]) -> Fleet:
+    """Return what the first run on the three robots gave."""
+    return three_robots[1]
+
+
+@pytest.fixture
+def herd(three_robots: tuple[Path, Fleet], tmp_path: Path) -> Path:
+    """Return a folder of three robots that a test may change; `out` beside it has their results."""
+    for name in ("herd", "out"):
+        shutil.copytree(three_robots[0] / name, tmp_path / name)
+    return tmp_path / "herd"
 
 
 def stamps_of(folder: Path) -> dict[Path, int]:
@@ -229,11 +239,11 @@ def printed(fleet: Fleet) -> list[str]:
     return console.export_text().splitlines()
 
 
-def test_a_fleet_gives_what_each_job_gives_alone(herd: Path, tmp_path: Path) -> None:
+def test_a_fleet_gives_what_each_job_gives_alone(first: Fleet, herd: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
-    fleet = run_fleet(str(herd), out, where=Here())
-    assert fleet.whole
-    assert [robot.name for robot in fleet.robots] == ["ada", "bob", "lab/eve"]
+    assert first.whole
+    assert (first.paired, first.fitted) == (6, 3)
+    assert [robot.name for robot in first.robots] == ["ada", "bob", "lab/eve"]
     for name in ("ada", "bob", "lab/eve"):
         alone = calibrate(read_job(herd / name / "job.toml")).calibration
         assert said_in(out / name / "calibration.json") == said(alone)
@@ -243,8 +253,6 @@ def test_a_fleet_gives_what_each_job_gives_alone(herd: Path, tmp_path: Path) -> 
 
 def test_what_is_finished_is_not_done_again(herd: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
-    first = run_fleet(str(herd), out, where=Here())
-    assert (first.paired, first.fitted) == (6, 3)
     before = stamps_of(out)
     again = run_fleet(str(herd), out, where=Here())
     assert (again.paired, again.fitted) == (0, 0)
@@ -271,7 +279,7 @@ def test_a_broken_recording_costs_itself_alone_and_is_named(herd: Path, tmp_path
     assert "not calibrated: cat: " in told
     assert "'sensors' is missing" in told
     assert "left out: bob, t1: " in told
-    assert "2 of 3" in told
+    assert " 2/3 " in told
     kept = said_in(out / "bob" / "calibration.json")["provenance"]["inputs"]
     assert [one["path"] for one in kept if one["role"] == "recording"] == ["t0.csv", "t2.csv"]
     assert (out / "ada" / "calibration.json").exists()
@@ -284,7 +292,6 @@ def test_a_broken_recording_costs_itself_alone_and_is_named(herd: Path, tmp_path
 
 def test_a_robot_without_a_whole_recording_keeps_what_it_had(herd: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
-    run_fleet(str(herd), out, where=Here())
     before = stamps_of(out / "ada")
     for log in (herd / "ada").glob("t*.csv"):
         log.unlink()
@@ -295,47 +302,56 @@ def test_a_robot_without_a_whole_recording_keeps_what_it_had(herd: Path, tmp_pat
     assert stamps_of(out / "ada") == before
 
 
-def children(pid: int) -> list[int]:
-    text = Path(f"/proc/{pid}/task/{pid}/children").read_text()
-    return [int(word) for word in text.split()]
+def workers_of(pid: int) -> list[int]:
+    """Return the processes that a running pool has started to work."""
+    children = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
+    called = {int(one): Path(f"/proc/{one}/cmdline").read_bytes() for one in children}
+    return [one for one, command in called.items() if b"spawn_main" in command]
+
+
+def wait_until(done: Callable[[], bool]) -> None:
+    deadline = time.monotonic() + 60.0
+    while not done():
+        assert time.monotonic() < deadline
+        time.sleep(0.005)
 
 
 @pytest.mark.skipif(not Path("/proc/self/task").is_dir(), reason="looks at processes by /proc")
-def test_killed_without_warning_a_run_goes_on_where_it_was(tmp_path: Path) -> None:
+def test_killed_without_warning_runs_and_workers_cost_what_was_under_way(tmp_path: Path) -> None:
     for number in range(2):
-        write_robot(tmp_path / "herd" / f"r{number}", 100 * number, count=4)
+        write_robot(tmp_path / "herd" / f"r{number}", 100 * number, count=5)
     out, cache = tmp_path / "out", tmp_path / "out" / "cache"
     command = [sys.executable, "-m", "ftcal.cli", "fleet", str(tmp_path / "herd"), "-o", str(out),
-               "--workers", "2"]  # fmt: skip
-    running = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-    try:
-        deadline = time.monotonic() + 60.0
-        while len(list(cache.glob("*.npz"))) < 2:
-            assert time.monotonic() < deadline
-            assert running.poll() is None
-            time.sleep(0.01)
-        workers = children(running.pid)
-    finally:
-        running.send_signal(signal.SIGKILL)
-        running.wait()
-    while any(Path(f"/proc/{worker}").exists() for worker in workers):
-        assert time.monotonic() < deadline, "workers outlive whoever started them"
-        time.sleep(0.01)
+               "--workers", "2", "--json"]  # fmt: skip
+
+    with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as first:
+        wait_until(lambda: len(list(cache.glob("*.npz"))) >= 2)
+        workers = workers_of(first.pid)
+        first.kill()
+    assert len(workers) == 2
+    wait_until(lambda: not any(Path(f"/proc/{worker}").exists() for worker in workers))
     kept = {file: file.stat().st_mtime_ns for file in cache.glob("*.npz")}
-    fleet = run_fleet(str(tmp_path / "herd"), out, where=Here())
-    assert fleet.whole
-    assert 2 <= len(kept) == 8 - fleet.paired
+
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL) as second:
+        wait_until(lambda: len(list(cache.glob("*.npz"))) > len(kept))
+        wait_until(lambda: workers_of(second.pid) != [])
+        os.kill(workers_of(second.pid)[0], signal.SIGKILL)
+        printed_json = second.communicate()[0]
+    assert second.returncode == 0
+    told = json.loads(printed_json)
+    assert all(len(robot["used"]) == 5 for robot in told["robots"].values())
+    assert told["fitted"] == 2
+    assert told["paired"] <= 10 - len(kept)
     assert kept.items() <= stamps_of(cache).items()
+    assert len(list(cache.glob("*.npz"))) == 10
 
 
 def test_a_cluster_gives_the_fleet_of_one_process(
-    herd: Path, tmp_path: Path, cluster: Cluster
+    first: Fleet, herd: Path, tmp_path: Path, cluster: Cluster
 ) -> None:
-    here = run_fleet(str(herd), tmp_path / "here", where=Here())
-    far = run_fleet(str(herd), tmp_path / "far", where=cluster)
-    assert here == far
+    assert run_fleet(str(herd), tmp_path / "far", where=cluster) == first
     for name in ("ada", "bob", "lab/eve"):
-        one, two = (tmp_path / way / name / "calibration.json" for way in ("here", "far"))
+        one, two = (tmp_path / way / name / "calibration.json" for way in ("out", "far"))
         assert said_in(one) == said_in(two)
 
 
@@ -357,7 +373,6 @@ def test_a_sensor_that_was_bent_is_first_and_one_newly_measured_is_steady(
     herd: Path, tmp_path: Path
 ) -> None:
     out = tmp_path / "out"
-    run_fleet(str(herd), out, where=Here())
     write_robot(herd / "ada", 500)
     write_robot(herd / "bob", 510, bend=0.02)
     result = run("fleet", herd, "-o", out, "--json", "--scheduler", "here")
@@ -380,7 +395,6 @@ def test_the_table_fits_a_terminal_and_names_what_could_not_be_done(
     herd: Path, tmp_path: Path
 ) -> None:
     out = tmp_path / "out"
-    run_fleet(str(herd), out, where=Here())
     write_robot(herd / "bob", 510, bend=0.02)
     (herd / "ada" / "t1.csv").write_text("[bold]no log[/]")
     lines = printed(run_fleet(str(herd), out, where=Here()))
@@ -392,9 +406,19 @@ def test_the_table_fits_a_terminal_and_names_what_could_not_be_done(
     assert lines[-1] == f"3 robots, 5 recordings; {done}"
 
 
+def test_long_names_are_folded_and_never_cut() -> None:
+    found = Drift(1345.6, 12.34, 0.456, 134.23, drifted=True)
+    states = (SensorState("r_upper_leg_ft_sensor", "PARTIAL", "drifted", found),)
+    robot = RobotState("laboratory/icub_genova_02", "", ("take",) * 200, {}, states)
+    lines = printed(Fleet((robot,), {}, 3, 1))
+    assert max(map(len, lines)) <= 100
+    cells = [line.split() for line in lines[3:-2]]
+    assert "".join(words[0] for words in cells if words) == robot.name
+    assert {"1346", "134.2", "200/200"} <= {word for words in cells for word in words}
+
+
 def test_an_exchanged_sensor_is_no_drift(herd: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
-    run_fleet(str(herd), out, where=Here())
     matrix = herd / "ada" / "workbench.csv"
     np.savetxt(matrix, 1.01 * np.loadtxt(matrix, delimiter=","), delimiter=",")
     ada, *_ = run_fleet(str(herd), out, where=Here()).robots
@@ -448,14 +472,14 @@ def put(herd: Path, url: str) -> Any:
 
 @pytest.mark.parametrize("kind", ["file", "memory"])
 def test_a_fleet_behind_a_url_is_fetched_once_and_gives_the_same(
-    herd: Path, tmp_path: Path, kind: str
+    first: Fleet, herd: Path, tmp_path: Path, kind: str
 ) -> None:
     url = {"file": f"file://{tmp_path}/far", "memory": f"memory://{tmp_path.name}/far"}[kind]
     far = put(herd, url)
-    out = tmp_path / "out"
-    assert run_fleet(url, out, where=Here()) == run_fleet(str(herd), tmp_path / "n", where=Here())
+    out = tmp_path / "fetched"
+    assert run_fleet(url, out, where=Here()) == first
     for name in ("ada", "lab/eve"):
-        one, two = (tmp_path / way / name / "calibration.json" for way in ("out", "n"))
+        one, two = (tmp_path / way / name / "calibration.json" for way in ("out", "fetched"))
         assert said_in(one) == said_in(two)
     before = stamps_of(out)
     again = run_fleet(url, out, where=Here())

@@ -62,16 +62,16 @@ def as_record(fleet: Fleet) -> dict[str, Any]:
 def print_fleet(console: Console, fleet: Fleet) -> None:
     """Print the table, what could not be done by name, and how much was done in this run."""
     if every := rows(fleet):
-        made = table("robot", "sensor", "verdict", "since last", "force", "torque", "full scale",
-                     "sd", "recordings", right=range(4, 9))  # fmt: skip
+        made = table("robot", "sensor", "verdict", "since last", "force", "torque", "share", "sd",
+                     "used", right=range(4, 9))  # fmt: skip
         for robot, sensor in every:
             made.add_row(
-                Text(robot.name),
-                Text(sensor.sensor),
+                Text(robot.name, overflow="fold"),
+                Text(sensor.sensor, overflow="fold"),
                 Text(sensor.verdict, STYLES[sensor.verdict]),
                 Text(sensor.changed, "bold red" if sensor.changed == "drifted" else ""),
                 *change_cells(sensor),
-                f"{len(robot.used)} of {len(robot.used) + len(robot.failed)}",
+                f"{len(robot.used)}/{len(robot.used) + len(robot.failed)}",
             )
         console.print(made)
     lines = [f"not calibrated: {one.name}: {one.reason}" for one in fleet.robots if one.reason]
@@ -95,8 +95,13 @@ def change_cells(sensor: SensorState) -> list[str]:
     if found is None:
         return ["-"] * 4
     return [
-        f"{found.force:.3g} N",
-        f"{found.torque:.3g} Nm",
+        f"{three_digits(found.force)} N",
+        f"{three_digits(found.torque)} Nm",
         f"{100 * found.share:.2g} %",
         f"{found.sd:.1f}",
     ]
+
+
+def three_digits(value: float) -> str:
+    """Return a figure with three digits, or as many as stand before its point."""
+    return f"{value:.0f}" if value >= 100.0 else f"{value:.3g}"

@@ -18,7 +18,7 @@ wrong, and so the data too much where the model of the robot is off.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -59,6 +59,12 @@ ROUNDS = 6
 
 LEAST_SHARE = 0.1
 """Independent samples less parameters spent are at least this share of the former."""
+
+FEWEST_TOLD = 4
+"""Stretches whose errors have a standard error."""
+
+TIE = 0.01
+"""Strengths whose held-out errors differ by less (relative) are equally good."""
 
 AGREED = 4
 """Rounds at most until the strength of the prior and the noise agree."""
@@ -144,7 +150,7 @@ class Choice:
     """Held-out mean square over the noise's, by strength and stretch."""
     stretches: tuple[str, ...]
     chosen: float
-    """The strongest prior that is as good as the best."""
+    """The strongest prior that is as good as the best, and no weaker than the evidence wants."""
 
 
 def robust_weights(terms: Sequence[Terms], posterior: Posterior) -> Weights:
@@ -177,8 +183,9 @@ def choose_kappa(
     Every stretch is left out in turn. Offsets that the others know are kept; where one is not
     known, the balance is scored about its mean. Of strengths whose errors differ from the least by
     no more than one standard error over the stretches, the strongest prior is taken (L. Breiman et
-    al., "Classification and Regression Trees", 1984, section 3.4.3): stretches are few, and what
-    they do not tell is better left to the Workbench. Raises `DataError` with fewer than two.
+    al., "Classification and Regression Trees", 1984, section 3.4.3): what stretches do not tell is
+    better left to the Workbench. Fewer than four have no standard error to speak of: of equals the
+    weakest then. Raises `DataError` with fewer than two.
     """
     folds = stretches_of(terms)
     if len(folds) < 2:
@@ -197,9 +204,11 @@ def choose_kappa(
     best = int(score.mean(axis=1).argmin())
     worse = score - score[best]
     spread = worse.std(axis=1, ddof=1) / np.sqrt(len(folds))
-    as_good = np.flatnonzero(worse.mean(axis=1) <= spread)
+    tolerated = spread if len(folds) >= FEWEST_TOLD else TIE
+    as_good = np.flatnonzero(worse.mean(axis=1) <= tolerated)
+    at = as_good[0] if len(folds) >= FEWEST_TOLD else as_good[-1]
     names = tuple(f"{recording} {start:g} s" for recording, start in folds)
-    return Choice(np.asarray(kappas), error, names, float(kappas[as_good[0]]))
+    return Choice(np.asarray(kappas), error, names, float(kappas[at]))
 
 
 def held_out(
@@ -284,7 +293,9 @@ def fit_all(
         before = held
         if strength == "stretches" and len(stretches_of(terms)) > 1:
             choice = choose_kappa(terms, frames, noise)
-            held = choice.chosen
+            # evidence takes all that is wrong for bend or noise: no bend is larger than that
+            held = min(choice.chosen, maximise_evidence(normal, noise))
+            choice = replace(choice, chosen=held)
         else:
             held = maximise_evidence(normal, noise)
         if abs(held - before) < 0.1 * before:
