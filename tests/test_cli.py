@@ -12,7 +12,8 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner, Result
 
-from ftcal.cli import NOT_BETTER, main
+from ftcal.cli import main
+from ftcal.cli.frame import NOT_BETTER
 from golden import check
 from real import GENOVA02, needs_genova02
 from small_world import robot_text, write_world

@@ -14,7 +14,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from pyarrow import csv, parquet
 
-from ftcal.cli import NOT_BETTER, main
+from ftcal.cli import main
+from ftcal.cli.frame import NOT_BETTER
 from ftcal.errors import DataError, LogError
 from ftcal.payload import Payload, estimate
 from ftcal.pose_tables import HABITS, PoseLayout, read_poses

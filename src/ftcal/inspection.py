@@ -1,31 +1,100 @@
-"""What `ftcal inspect --json` prints: a log's contents as plain records."""
+"""What `ftcal inspect` finds in a log, and its contents as plain records for machines."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
-from dataclasses import asdict
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
 from typing import Any
 
+from ftcal import delay, diagnosis, logs, steps
+from ftcal.contact import ContactSchedule
 from ftcal.delay import Delay
 from ftcal.diagnosis import Diagnosis
+from ftcal.errors import DataError
+from ftcal.health import examine
+from ftcal.logs import Layout
 from ftcal.recording import Finding, Recording, Signal
 from ftcal.robot import Robot
 from ftcal.steps import Step
-from ftcal.timeline import Phase
+from ftcal.timeline import Phase, Timeline, propose_timeline
+from ftcal.urdf import read_robot
 
 
-def as_record(
-    recording: Recording,
-    findings: Iterable[Finding],
-    robot: Robot | None,
-    phases: Iterable[Phase] = (),
-    diagnosis: Diagnosis | None = None,
-) -> dict[str, Any]:
+@dataclass(frozen=True, slots=True, eq=False)
+class Inspection:
+    """What a log shows."""
+
+    recording: Recording
+    robot: Robot | None
+    findings: tuple[Finding, ...]
+    timeline: Timeline | None
+    """Who stood when, where two feet were named."""
+    contacts: ContactSchedule | None
+    """What touched the world, as told or as the feet show."""
+    diagnosis: Diagnosis | None = None
+    delays: tuple[Delay, ...] = ()
+    steps: Mapping[str, tuple[Step, ...]] | None = None
+
+    @property
+    def phases(self) -> tuple[Phase, ...]:
+        """Phases of the timeline."""
+        return () if self.timeline is None else self.timeline.phases
+
+
+def inspected(
+    log: Path,
+    layout: Layout,
+    *,
+    robot: Path | None = None,
+    feet: tuple[str, str] | None = None,
+    contacts: Sequence[str] = (),
+) -> Inspection:
+    """Return what a log shows of itself, and with a robot of who stood when.
+
+    `feet` are two soles that tell it; `contacts` are links that touch throughout.
+    """
+    recording = logs.read(log, layout)
+    model = None if robot is None else read_robot(robot)
+    findings = (*recording.findings, *examine(recording, robot=model))
+    timeline = None
+    schedule = diagnosis.throughout(recording, contacts) if contacts else None
+    if feet is not None and model is not None:
+        timeline = propose_timeline(recording, model, feet, findings=findings)
+        schedule = schedule or diagnosis.touching(timeline.phases)
+    return Inspection(recording, model, findings, timeline, schedule)
+
+
+def diagnosed(seen: Inspection, rivals: Sequence[Path]) -> Inspection:
+    """Return an inspection with what is wrong with its log or its robot.
+
+    `rivals` are other descriptions that may be the log's robot. Raises `DataError` where robot or
+    contacts are not known.
+    """
+    recording, robot, schedule = seen.recording, seen.robot, seen.contacts
+    if robot is None or schedule is None:
+        raise DataError("a diagnosis needs the robot and who touched the world: --robot, --contact")
+    return replace(
+        seen,
+        diagnosis=diagnosis.diagnose(
+            recording,
+            robot,
+            schedule,
+            rivals={str(path): read_robot(path) for path in rivals},
+            findings=seen.findings,
+        ),
+        delays=delay.delays(recording, robot, schedule, findings=seen.findings),
+        steps=steps.all_steps(recording, robot, schedule, findings=seen.findings),
+    )
+
+
+def as_record(seen: Inspection) -> dict[str, Any]:
     """Return signals, findings, contact phases and, with a robot, what of it is logged.
 
-    And the diagnosis, where there is one.
+    And the diagnosis with delays and steps, where there is one.
     """
+    recording, robot = seen.recording, seen.robot
     kinds = {
         "joints": recording.joints,
         "channels": recording.channels,
@@ -41,11 +110,12 @@ def as_record(
             for kind, signals in kinds.items()
             for signal in signals
         ],
-        "findings": [asdict(finding) for finding in findings],
-        "phases": [asdict(phase) for phase in phases],
+        "findings": [asdict(finding) for finding in seen.findings],
+        "phases": [asdict(phase) for phase in seen.phases],
     }
-    if diagnosis is not None:
-        record["diagnosis"] = asdict(diagnosis)
+    if seen.diagnosis is not None:
+        record["diagnosis"] = asdict(seen.diagnosis)
+        record |= as_noticed(seen.delays, seen.steps or {})
     if robot is not None:
         logged = {column for signal in recording.joints for column in signal.columns}
         record["robot"] = {

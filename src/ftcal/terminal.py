@@ -17,6 +17,7 @@ from rich.text import Text
 
 from ftcal.delay import Delay
 from ftcal.diagnosis import Diagnosis
+from ftcal.inspection import Inspection
 from ftcal.recording import Finding, Recording, Signal
 from ftcal.report.truth import Truth
 from ftcal.report.words import percent
@@ -251,6 +252,17 @@ def print_noticed(
             console.print(Text(f"{sensor}: {step.message}"), soft_wrap=True)
         times = ", ".join(f"{step.time:.2f}" for step in some)
         console.print(Text(f"  breaks = {{ {sensor} = [{times}] }}"), soft_wrap=True)
+
+
+def print_inspection(console: Console, seen: Inspection) -> None:
+    """Print what a log shows."""
+    print_recording(console, seen.recording, seen.robot)
+    print_findings(console, [(seen.recording.name, finding) for finding in seen.findings])
+    if seen.phases:
+        print_phases(console, seen.phases)
+    if seen.diagnosis is not None:
+        print_diagnosis(console, seen.diagnosis)
+        print_noticed(console, seen.delays, seen.steps or {})
 
 
 def print_phases(console: Console, phases: Sequence[Phase]) -> None:

@@ -1,0 +1,5 @@
+"""`python -m ftcal.cli`."""
+
+from ftcal.cli import main
+
+main()
