@@ -30,8 +30,8 @@ help:
 test: lint wheel-test
 	@rm -f .coverage .coverage.*
 	@export PYTHONPATH="$(CURDIR)/$(WHEEL)"; \
-	COVERAGE_FILE=.coverage.first $(HALF) tests/test_[a-r]*.py > build/first.log 2>&1 & first=$$!; \
-	COVERAGE_FILE=.coverage.second $(HALF) tests/test_[s-z]*.py; second=$$?; \
+	COVERAGE_FILE=.coverage.first $(HALF) tests/test_[a-q]*.py > build/first.log 2>&1 & first=$$!; \
+	COVERAGE_FILE=.coverage.second $(HALF) tests/test_[r-z]*.py; second=$$?; \
 	wait $$first; first=$$?; cat build/first.log; exit $$((first + second))
 	$(BIN)/coverage combine --quiet
 	$(BIN)/coverage report

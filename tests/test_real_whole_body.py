@@ -58,9 +58,7 @@ def test_right_shank_in_the_last_double_support() -> None:
 
 
 @needs_genova02
-@pytest.mark.xfail(
-    strict=True, reason="measured 3.51 N and 1.17 Nm"
-)
+@pytest.mark.xfail(strict=True, reason="measured 3.51 N and 1.17 Nm")
 def test_right_shank_in_the_last_double_support_as_the_issue_wants_it() -> None:
     left = held_out(standing(), RIGHT_SHANK, after=67.0)
     assert left.whole_body.force <= 3.0

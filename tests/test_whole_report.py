@@ -145,7 +145,7 @@ def test_matrices_that_are_not_better_together_are_all_kept_from_use() -> None:
 
 
 def test_a_scale_of_torques_that_rests_on_the_prior_is_not_held_against_forces() -> None:
-    outcome = an_outcome(chosen=True)
+    outcome = an_outcome()
     (foot,) = (s for s in outcome.fit.sensors if s.sensor.name == "l_foot_ft_sensor")
     assert loose_scales(outcome.fit.posterior, foot.sensor.name) == ["the scale of its torques"]
     for verdict in foot.verdicts[:3]:

@@ -43,6 +43,8 @@ def segmented(
     job: Job, robot: Robot, channels: Sequence[FtChannel], recordings: Takes, steps: Steps
 ) -> tuple[Job, Takes]:
     """Return the job with breaks in place of "auto", and its recordings with what was found."""
+    if all(section.breaks != "auto" for section in job.recordings):
+        return job, recordings
     sections, findings = [], []
     for section, recording, found in zip(
         job.recordings, recordings, recordings.findings, strict=True

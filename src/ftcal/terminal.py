@@ -20,7 +20,8 @@ from ftcal.diagnosis import Diagnosis
 from ftcal.inspection import Inspection
 from ftcal.recording import Finding, Recording, Signal
 from ftcal.report.truth import Truth
-from ftcal.report.words import percent
+from ftcal.report.words import figures as digits
+from ftcal.report.words import percent, strength
 from ftcal.robot import Robot
 from ftcal.sensor import AXES
 from ftcal.steps import Step
@@ -54,8 +55,8 @@ def figures(score: Score) -> list[str]:
     return [
         f"{score.percent:.{places}f} %",
         interval,
-        f"{score.rms:.3g} {score.unit}",
-        f"{score.workbench_rms:.3g} {score.unit}",
+        f"{digits(score.rms)} {score.unit}",
+        f"{digits(score.workbench_rms)} {score.unit}",
         f"{score.amplitude:.2f}",
     ]
 
@@ -71,18 +72,13 @@ def print_sensor(console: Console, outcome: SensorOutcome) -> None:
     if scores is not None:
         console.print(score_table(scores, outcome.verdicts))
     found = outcome.fit
-    strength = (
-        f"lambda {found.penalty:g}"
-        if found.kappa is None
-        else f"kappa {found.kappa[0]:.3g}"
-        + ("" if found.choice is None else " (blocked cross-validation)")
-    )
     seen = found.excitation
     console.print(
         f"{found.samples} samples, {min(found.independent):.0f} to {max(found.independent):.0f}"
-        f" independent; prior {strength}; {seen.rank} of {len(seen.directions)} directions excited"
+        f" independent; {seen.rank} of {len(seen.directions)} directions excited"
         + ("" if not found.down_weighted else f"; {percent(found.down_weighted)} count less")
     )
+    console.print(Text(f"prior: {strength(found)}"))
     for reason in reasons(outcome.verdicts):
         console.print(Padding(Text(reason), (0, 0, 0, 2)))
     console.print()
@@ -116,14 +112,15 @@ def score_table(scores: Scores, verdicts: Sequence[Verdict] | None = None) -> Ta
     """Return the scores of one validation, an axis a row."""
     made = table(
         *(scores.kind, *(["verdict"] if verdicts else [])),
-        *("error", "90 %", "RMS in situ", "Workbench", "amplitude", "beyond"),
+        *("error, of\nWorkbench", "90 %\ninterval", "RMS\nin situ", "RMS\nWorkbench"),
+        *("amplitude\nratio", "beyond\ntraining"),
         right=range(2 if verdicts else 1, 8),
     )
     words = {verdict.axis: verdict.word for verdict in verdicts or ()}
     for name in (*AXES, "force", "torque"):
         score = scores.by_name[name]
         word = words.get(name, "")
-        beyond = f"{100 * score.beyond:.0f} %" if score.beyond else "-"
+        beyond = percent(score.beyond) if score.beyond else "-"
         judged = [Text(word, STYLES.get(word, ""))] if verdicts else []
         made.add_row(name, *judged, *figures(score), beyond)
         if name == AXES[-1]:

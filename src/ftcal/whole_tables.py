@@ -13,13 +13,20 @@ from rich.table import Table
 from rich.text import Text
 
 from ftcal.judging import SensorResult
+from ftcal.report.tried_words import BELIEVED, found_words, suspect_words, unseen
 from ftcal.report.whole_metrics import means, move_words, on_the_prior, undetermined
-from ftcal.report.words import percent
+from ftcal.report.words import figures, percent
 from ftcal.sensor import AXES
 from ftcal.terminal import EACH, STYLES, print_findings, reasons, score_table, table
-from ftcal.terms import MODEL
 from ftcal.verdict import advice, overall
 from ftcal.whole_pipeline import WholeOutcome
+
+EXPLAINED = (
+    "evidence: logarithm of how much more probable the data are with it (5 nats: 150 times)\n"
+    "held-out RMS: change of what is left over on stretches that were left out\n"
+    "moves most: entry of a matrix [% of full scale] if it is off by one sd of its prior"
+)
+"""The columns of the errors of the model that were tried."""
 
 
 def print_whole(console: Console, outcome: WholeOutcome) -> None:
@@ -37,18 +44,24 @@ def print_whole(console: Console, outcome: WholeOutcome) -> None:
         console.print(Text.assemble(("Mass on its own sensors", "bold"), f", {described}"))
         console.print(mass_table(outcome))
     if outcome.tried:
-        told = ": nats of evidence, change of what unseen stretches leave"
+        told = ", each beside the sensors and all that is believed"
         console.print(Text.assemble(("Errors of the model that were tried", "bold"), told))
         console.print(tried_table(outcome))
-        if unseen := [one.words for one in outcome.tried if not one.seen]:
-            console.print(Text(f"the data say nothing of: {', '.join(unseen)}"))
+        console.print(Text(EXPLAINED))
+        if silent := unseen(outcome.tried):
+            console.print(Text(f"the data say nothing of: {', '.join(silent)}"))
+        console.print()
     posterior, choice = outcome.fit.posterior, outcome.fit.choice
     down = outcome.fit.down_weighted
     less = f", {percent(down)} of their seconds count less" if down else ""
     console.print(
-        f"{outcome.fit.samples} samples of balances{less}; prior kappa {posterior.kappa:.3g}"
-        + ("" if choice is None else " (held-out stretches)")
-        + f"; the data determine {posterior.spent:.0f} of {posterior.unknowns.prior} entries"
+        f"{outcome.fit.samples} samples of balances{less}; the data determine"
+        f" {posterior.spent:.0f} of {posterior.unknowns.prior} entries, the prior the rest"
+    )
+    console.print(
+        f"prior: kappa = {posterior.kappa:.3g}: entries are believed to lie within"
+        f" {percent(posterior.kappa)} of full scale of the Workbench"
+        + ("" if choice is None else " (chosen by held-out stretches)")
     )
     console.print()
 
@@ -62,7 +75,8 @@ def print_together(console: Console, outcome: WholeOutcome) -> None:
         score = outcome.fit.together.by_name[kind]
         low, high = score.interval
         shares.append(f"{kind} {score.percent:.1f} % [{low:.1f}, {high:.1f}]")
-    console.print(Text(f"all sub-models, held out, of Workbench: {', '.join(shares)}"))
+    console.print(Text(f"left over on held-out stretches, of the Workbench's: {', '.join(shares)}"))
+    console.print(Text("in brackets the 90 % interval; that of the force must end below 100 %"))
     console.print()
 
 
@@ -85,17 +99,17 @@ def print_result(console: Console, result: SensorResult) -> None:
 
 def left_table(outcome: WholeOutcome) -> Table:
     """Return the mean force and torque left over, a sub-model and kind of stretch a row."""
-    made = table("sub-model", "contacts", "seconds", "force before", "after", "torque before",
-                 "after", right=(1, 3, 4, 5, 6))  # fmt: skip
+    made = table("sub-model", "contacts", "stretches", "force\nWorkbench", "force\nnew",
+                 "torque\nWorkbench", "torque\nnew", right=(1, 3, 4, 5, 6))  # fmt: skip
     for one in means(outcome):
-        torque = [f"{left[1]:.3g} Nm" if one.equations == 6 else "-"
+        torque = [f"{figures(left[1])} Nm" if one.equations == 6 else "-"
                   for left in (one.workbench, one.whole_body)]  # fmt: skip
         made.add_row(
             Text(one.sub_model),
             str(one.touching),
             "held out" if one.held_out else "trained on",
-            f"{one.workbench[0]:.3g} N",
-            f"{one.whole_body[0]:.3g} N",
+            f"{figures(one.workbench[0])} N",
+            f"{figures(one.whole_body[0])} N",
             *torque,
         )
     return made
@@ -118,19 +132,18 @@ def mass_table(outcome: WholeOutcome) -> Table:
 
 def tried_table(outcome: WholeOutcome) -> Table:
     """Return what became of every suspected error of the model that the data see, a row each."""
-    made = table("suspected", "found", "nats", "unseen", "believed", "moves most", right=(1, 2, 3))
+    made = table("suspected", "found", "evidence\n[nats]", "held-out\nRMS", "believed",
+                 "moves most", right=(1, 2, 3))  # fmt: skip
+    made.padding = (0, 1, 0, 0)
     made.columns[1].no_wrap = made.columns[5].no_wrap = True
-    said = {"believed": "yes", "no evidence": "no", "always": "always"}
     for one in outcome.tried:
         if one.seen:
-            # more are those of suspects that have rows of their own
-            own = [f"all {len(one.numbers)}"] if len(one.numbers) > MODEL else one.numbers
             made.add_row(
-                Text(one.words + "".join(f", or {words}" for words in one.rivals)),
-                "\n".join(map(str, own)),
+                Text(suspect_words(one)),
+                "\n".join(found_words(one)),
                 f"{one.gain:+.1f}",
                 "-" if np.isnan(one.held_out) else f"{100 * one.held_out:+.1f} %",
-                said[one.word],
-                Text(f"{one.moves[0].percent:.2g} % {move_words(one.moves[0], outcome.fit)}"),
+                BELIEVED[one.word],
+                Text(f"{one.moves[0].percent:.1f} % {move_words(one.moves[0], outcome.fit)}"),
             )
     return made

@@ -80,6 +80,13 @@ def places(nodes: Sequence[Node]) -> dict[str, tuple[float, float]]:
     return found
 
 
+def beside(node: Node, at: dict[str, tuple[float, float]]) -> str:
+    """Return where the label of a sub-model is clear of the line to its parent."""
+    if node.parent is None:
+        return "top center"
+    return "middle left" if at[node.name][0] < at[node.parent][0] else "middle right"
+
+
 def sub_model_graph(robot: str, nodes: Sequence[Node]) -> Figure:
     """Return the sub-models of a robot as nodes and the sensors between them as edges."""
     at = places(nodes)
@@ -110,7 +117,7 @@ def sub_model_graph(robot: str, nodes: Sequence[Node]) -> Figure:
                     "x": [at[node.name][0] for node in mine],
                     "y": [at[node.name][1] for node in mine],
                     "text": [f"<b>{plain(node.name)}</b><br>{node.mass:.2f} kg" for node in mine],
-                    "textposition": "middle right",
+                    "textposition": [beside(node, at) for node in mine],
                     "customdata": [node.samples for node in mine],
                     "hovertemplate": f"{words}, %{{customdata}} samples",
                     "name": words,
@@ -130,7 +137,7 @@ def sub_model_graph(robot: str, nodes: Sequence[Node]) -> Figure:
         for node, (a, b) in zip(edges, ends, strict=True)
     ]
     hidden = {"visible": False, "fixedrange": True}
-    layout["xaxis"] = hidden | {"range": [min(across) - 0.4, max(across) + 0.9]}
+    layout["xaxis"] = hidden | {"range": [min(across) - 0.9, max(across) + 0.9]}
     layout["yaxis"] = hidden | {"range": [-depth - 0.4, 0.4]}
     return {"data": traces, "layout": layout}
 
@@ -203,7 +210,18 @@ def stretch_curve(choice: Choice) -> Figure:
             "y0": 0,
             "y1": 1,
             "line": {"color": BLACK, "width": 1.5, "dash": "dash"},
-            "label": {"text": f"chosen {choice.chosen:.3g}", "textangle": 0},
+        }
+    ]
+    layout["annotations"] = [
+        {
+            "text": f"chosen {choice.chosen:.3g}",
+            "showarrow": False,
+            "x": float(np.log10(choice.chosen)),  # annotations count a logarithmic axis in powers
+            "xanchor": "left",
+            "yref": "paper",
+            "y": 0.01,
+            "yanchor": "bottom",
+            "xshift": 4,
         }
     ]
     return {"data": traces, "layout": layout}

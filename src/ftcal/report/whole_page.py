@@ -13,6 +13,7 @@ from ftcal.judging import SensorResult, loose_scales
 from ftcal.report.album import Album, Table, residual_figures
 from ftcal.report.page import health_section, matrices, table_of
 from ftcal.report.rendering import rendered
+from ftcal.report.tried_words import BELIEVED, found_words, suspect_words, unseen
 from ftcal.report.truth import Truth
 from ftcal.report.whole_metrics import (
     directions,
@@ -67,12 +68,12 @@ def whole_html(
 def robot_section(outcome: WholeOutcome, album: Album) -> Table:
     """Return what the page says about the robot; its figures go into the album in order."""
     fit = outcome.fit
-    names = ", ".join(recording.name for recording in outcome.recordings)
+    told = recordings_of(outcome)
     posterior, choice = fit.posterior, fit.choice
     return {
         "graph": album.add(
             plots.sub_model_graph(outcome.robot.name, nodes(outcome)),
-            f"Recordings {names}: the parts into which the sensors (on the lines) cut the robot,"
+            f"{told}: the parts into which the sensors (on the lines) cut the robot,"
             " with the mass [kg] of the robot description and the equations of its balance that"
             " they gave where nothing touched them. Point at a part for its samples.",
         ),
@@ -83,8 +84,18 @@ def robot_section(outcome: WholeOutcome, album: Album) -> Table:
         "noise": [(*group, known) for group, known in posterior.noise.items()],
         "inertias": inertias(outcome),
         "tried": [
-            (one, move_words(one.moves[0], fit), one.moves[0].percent) for one in outcome.tried
+            {
+                "words": suspect_words(one),
+                "found": found_words(one),
+                "gain": one.gain,
+                "held_out": one.held_out,
+                "believed": BELIEVED[one.word],
+                "moves": f"{one.moves[0].percent:.1f} % {move_words(one.moves[0], fit)}",
+            }
+            for one in outcome.tried
+            if one.seen
         ],
+        "unseen": unseen(outcome.tried),
         "believed": outcome.job.whole_body,
         "samples": fit.samples,
         "less": fit.down_weighted,
@@ -97,10 +108,11 @@ def robot_section(outcome: WholeOutcome, album: Album) -> Table:
         if choice is None
         else album.add(
             plots.stretch_curve(choice),
-            f"Recordings {names}: mean square held out over that of the noise against kappa"
-            " [fraction of full scale]. Every stretch was left out in turn; the weakest prior"
-            " within 1 % of the least geometric mean is chosen. Far above 1 at its best: a stretch"
-            " that the others do not foretell.",
+            f"{told}: mean square held out over that of the noise against kappa [fraction of full"
+            " scale]. Every stretch was left out in turn; chosen is the strongest prior whose"
+            " geometric mean lies within one standard error of the least (with fewer than four"
+            " stretches: the weakest within 1 % of it), and none weaker than makes the data most"
+            " probable. Far above 1 at its best: a stretch that the others do not foretell.",
         ),
     }
 
@@ -116,7 +128,7 @@ def sensor_section(
     name = result.sensor.name
     record = outcome.calibration.sensor(name)
     compared = truth_of(outcome.fit, result, truth)
-    names = ", ".join(recording.name for recording in outcome.recordings)
+    told = recordings_of(outcome)
     return {
         "number": number,
         "name": name,
@@ -132,7 +144,7 @@ def sensor_section(
             plots.share_map(
                 name, directions(result.share, result.fitted.gain.shape[1]), result.share
             ),
-            f"Recordings {names}: how much of every entry of the matrix of {name} is the data's"
+            f"{told}: how much of every entry of the matrix of {name} is the data's"
             " [%], rows against directions of the channels in fractions of full scale; the rest is"
             " the prior's.",
         ),
@@ -142,16 +154,22 @@ def sensor_section(
         ],
         "loose": loose_scales(outcome.fit.posterior, name),
         "matrices": matrices(result, record),
-        "truth": None if compared is None else truth_section(names, name, compared, album),
+        "truth": None if compared is None else truth_section(told, name, compared, album),
     }
 
 
-def truth_section(names: str, sensor: str, compared: Truth, album: Album) -> Table:
+def recordings_of(outcome: WholeOutcome) -> str:
+    """Return the recordings by name, as a caption begins."""
+    names = [recording.name for recording in outcome.recordings]
+    return f"Recording{'s' * (len(names) > 1)} {', '.join(names)}"
+
+
+def truth_section(told: str, sensor: str, compared: Truth, album: Album) -> Table:
     """Return the comparison with a known truth."""
     return {
         "figure": album.add(
-            plots.truth_maps(f"{sensor}, {names}", compared.truth, compared.estimate, compared.z),
-            f"Recordings {names}: entries of the true and of the fitted matrix of {sensor} as"
+            plots.truth_maps(f"{sensor}. {told}", compared.truth, compared.estimate, compared.z),
+            f"{told}: entries of the true and of the fitted matrix of {sensor} as"
             " departures from the Workbench [% of full scale] (the Workbench is 0 everywhere), and"
             " the error of each in its own standard errors.",
         ),

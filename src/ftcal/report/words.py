@@ -52,6 +52,12 @@ def fixed(value: float, places: int = 2) -> str:
     return f"{rounded:.{places}f}".replace("-", "−")
 
 
+def signed(value: float, places: int = 2) -> str:
+    """Return a number with a fixed number of decimals and its sign, which zero has not."""
+    shown = fixed(value, places)
+    return f"+{shown}" if round(value, places) > 0 else shown
+
+
 def percent(fraction: float) -> str:
     """Return a fraction in percent, two digits where it is small."""
     if not math.isfinite(fraction):
@@ -86,6 +92,7 @@ def whisker(value: float) -> float:
 TEXT_FILTERS: dict[str, Callable[..., Any]] = {
     "figures": figures,
     "fixed": fixed,
+    "signed": signed,
     "percent": percent,
     "span": span,
     "ends": ends,
