@@ -24,12 +24,16 @@ from ftcal.errors import DataError, SensorError
 from ftcal.export.installed import Installed, Reads
 from ftcal.firmware import COUNTS
 from ftcal.recording import Recording
+from ftcal.report.words import figures
 from ftcal.sensor import AXES, UNITS, Workbench
 from ftcal.terminal import table
 
 if TYPE_CHECKING:
     from jaxtyping import Float
     from numpy import ndarray as Array
+
+ROUNDING = 1e-9
+"""N or Nm below which a change is that of the last digits of a double."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -156,8 +160,8 @@ def box(
     if channels != 6:
         size = np.linalg.inv(workbench.scaling)
         return size, "every channel to where it alone makes a full scale of the Workbench"
-    said = " ".join(f"{value:g}" for value in workbench.full_scale)
-    named = f"every axis of the Workbench's wrench to its full scale ({said})"
+    force, torque = (" ".join(f"{v:g}" for v in part) for part in np.split(workbench.full_scale, 2))
+    named = f"every axis of the Workbench's wrench to its full scale ({force} N, {torque} Nm)"
     full = np.diag(workbench.full_scale)
     return (full if reads == "wrench" else np.linalg.solve(workbench.gain, full)), named
 
@@ -216,27 +220,32 @@ def as_record(changes: Sequence[Change], alone: Sequence[str]) -> dict[str, Any]
     return {"sensors": sensors, "alone": list(alone)}
 
 
+def shown(value: float) -> str:
+    """Return a figure with three digits; what is left by rounding is zero."""
+    return figures(value).replace("−", "-") if abs(value) > ROUNDING else "0"
+
+
 def print_changes(console: Console, changes: Sequence[Change], alone: Sequence[str]) -> None:
     """Print a table a sensor, an axis a row."""
     for found in changes:
-        console.print(Text(found.sensor, style="bold"))
+        console.print(Text.assemble((found.sensor, "bold"), ", B minus A"))
         columns: list[tuple[str, Float[Array, "6"]]] = []
         if found.full_scale is not None:
-            columns.append(("at full scale", found.full_scale))
+            columns.append(("largest at\nfull scale", found.full_scale))
         if (log := found.at_log) is not None:
-            columns += [("RMS in log", log.rms), ("max in log", log.largest)]
-            columns.append(("mean shift", log.shift))
+            columns += [("RMS\nin log", log.rms), ("largest\nin log", log.largest)]
+            columns.append(("mean shift\nin log", log.shift))
         columns.append(("offset", found.offset))
         if found.per_kelvin.any():
             columns.append(("per kelvin", found.per_kelvin))
         made = table("axis", *(name for name, _ in columns), right=range(1, len(columns) + 1))
         for axis, (name, unit) in enumerate(zip(AXES, UNITS, strict=True)):
-            made.add_row(name, *(f"{values[axis]:.3g} {unit}" for _, values in columns))
+            made.add_row(name, *(f"{shown(values[axis])} {unit}" for _, values in columns))
         console.print(made)
         lines = ["full scale: " + (found.box or "not known; give calibration.json for A or B")]
         if log is not None:
             lines.append(
-                f"log: {log.samples} samples; RMS and max about the mean, which is in the shift"
+                f"log: {log.samples} samples; RMS and largest about the mean, which is in the shift"
             )
         console.print(Text("\n".join(lines)))
         console.print()

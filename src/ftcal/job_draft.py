@@ -55,6 +55,8 @@ def draft(
     for signal in strangers if not matches else ():
         known = "" if robot is None else f" of {', '.join(robot.sensors) or 'none in the URDF'}"
         lines += [*sensor_lines("", signal, f"F/T sensor{known}, or its fixed joint"), ""]
+    if not recording.channels:
+        lines += ["# ? no F/T signal in this log: [[sensors]] needs one, of a log that has it", ""]
     if matches and strangers:
         lines += [f"# not matched: {', '.join(signal.name for signal in strangers)}", ""]
     lines += ["[[recordings]]", f"log = {quoted(str(log))}"]

@@ -43,7 +43,7 @@ def table(*headers: str, right: Iterable[int] = ()) -> Table:
     made = Table(box=SIMPLE_HEAD, pad_edge=False, header_style="bold")
     aligned = set(right)
     for number, header in enumerate(headers):
-        made.add_column(header, justify="right" if number in aligned else "left")
+        made.add_column(Text(header), justify="right" if number in aligned else "left")
     return made
 
 

@@ -24,7 +24,8 @@ from ftcal.whole_pipeline import WholeOutcome
 EXPLAINED = (
     "evidence: logarithm of how much more probable the data are with it (5 nats: 150 times)\n"
     "held-out RMS: change of what is left over on stretches that were left out\n"
-    "moves most: entry of a matrix [% of full scale] if it is off by one sd of its prior"
+    "moves most: entry (row, column) of a matrix [% of full scale] if it is off by one sd of its"
+    " prior\ninertia, which always takes part: mass, then centre of mass x, y, z"
 )
 """The columns of the errors of the model that were tried."""
 
@@ -75,7 +76,7 @@ def print_together(console: Console, outcome: WholeOutcome) -> None:
         score = outcome.fit.together.by_name[kind]
         low, high = score.interval
         shares.append(f"{kind} {score.percent:.1f} % [{low:.1f}, {high:.1f}]")
-    console.print(Text(f"left over on held-out stretches, of the Workbench's: {', '.join(shares)}"))
+    console.print(Text(f"left over, held out, of the Workbench's: {', '.join(shares)}"))
     console.print(Text("in brackets the 90 % interval; that of the force must end below 100 %"))
     console.print()
 
@@ -141,8 +142,8 @@ def tried_table(outcome: WholeOutcome) -> Table:
             made.add_row(
                 Text(suspect_words(one)),
                 "\n".join(found_words(one)),
-                f"{one.gain:+.1f}",
-                "-" if np.isnan(one.held_out) else f"{100 * one.held_out:+.1f} %",
+                f"{one.gain:+z.1f}",
+                "-" if np.isnan(one.held_out) else f"{100 * one.held_out:+z.1f} %",
                 BELIEVED[one.word],
                 Text(f"{one.moves[0].percent:.1f} % {move_words(one.moves[0], outcome.fit)}"),
             )

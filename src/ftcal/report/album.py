@@ -105,8 +105,7 @@ def residual_figures(name: str, scores: Scores | None, album: Album) -> list[Tab
     made = [
         album.add(
             plots.residuals_in_time(name, scores.kind, some),
-            f"Recording {label}: sensor minus model [N, Nm] at {name}, {scores.kind}."
-            + THINNED,
+            f"Recording {label}: sensor minus model [N, Nm] at {name}, {scores.kind}." + THINNED,
         )
         for label, some in by_recording.items()
     ]

@@ -13,7 +13,7 @@ def found_words(one: Tried) -> list[str]:
     """Return its numbers, a line each; of more than a suspect has alone, only how many."""
     if len(one.numbers) > MODEL:
         return [f"{len(one.numbers)} numbers"]
-    return [str(number).replace("-", "−") for number in one.numbers]
+    return [str(number) for number in one.numbers]
 
 
 def suspect_words(one: Tried) -> str:

@@ -210,7 +210,7 @@ def move_words(move: Move, fit: WholeBody) -> str:
     frame = fit.frames[move.sensor]
     known = np.zeros((len(AXES), len(frame.basis)))
     along = directions(known, frame.workbench.gain.shape[1])[move.column]
-    return f"{move.sensor} {AXES[move.row]} from {along}"
+    return f"{move.sensor} {AXES[move.row]}, {along}"
 
 
 def directions(share: Float[Array, "6 P"], channels: int) -> list[str]:
