@@ -10,7 +10,8 @@ from __future__ import annotations
 
 import argparse
 import json
-import resource
+import multiprocessing
+import os
 import subprocess
 import sys
 import tempfile
@@ -19,6 +20,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from pyarrow import parquet
 
 from ftcal import logs
 from ftcal.config import read_job
@@ -67,47 +69,58 @@ def told_again(recording: Recording, times: int, name: str) -> Recording:
     )
 
 
+def make(folder: Path, wanted: int) -> None:
+    """Write a job and its recordings of `wanted` samples in all."""
+    sensors = "".join(
+        f'[[sensors]]\nname = "{part}_ft"\nsignal = "{part}/analog:o"\n' for part in PARTS
+    )
+    scenario = folder / "scenario.toml"
+    scenario.write_text(SCENARIO.format(sensors=sensors))
+    file, _ = stage(read_scenario(scenario), folder / "session")
+    job = read_job(file)
+    section = job.recordings[0]
+    recording = logs.read(job.path(section.log), section.layout(), name="wide")
+    each = min(wanted, LONGEST)
+    count = max(1, wanted // each)
+    for k in range(count):
+        take = told_again(recording, -(-each // len(recording.channels[0])), f"wide {k}")
+        tables.write(take, folder / f"wide {k}")
+    about_robot = file.read_text().split("[[recordings]]")[0].replace('= "', '= "session/', 1)
+    about_robot = about_robot.replace('workbench = "', 'workbench = "session/')
+    (folder / "job.toml").write_text(
+        about_robot + '[fit]\nscope = "whole body"\n' + "".join(map(TAKE.format, range(count)))
+    )
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--samples", type=int, default=1_000_000)
     wanted = parser.parse_args().samples
-    sensors = "".join(
-        f'[[sensors]]\nname = "{part}_ft"\nsignal = "{part}/analog:o"\n' for part in PARTS
-    )
-    with tempfile.TemporaryDirectory() as folder:
-        scenario = Path(folder) / "scenario.toml"
-        scenario.write_text(SCENARIO.format(sensors=sensors))
-        file, _ = stage(read_scenario(scenario), Path(folder) / "session")
-        job = read_job(file)
-        section = job.recordings[0]
-        recording = logs.read(job.path(section.log), section.layout(), name="wide")
-        each = min(wanted, LONGEST)
-        count = max(1, wanted // each)
-        length = len(recording.channels[0])
-        logged = 0
-        for k in range(count):
-            take = told_again(recording, -(-each // length), f"wide {k}")
-            logged += len(take.channels[0])
-            tables.write(take, file.parent / f"wide {k}")
-        sensors_only = file.read_text().split("[[recordings]]")[0]
-        job_file = file.parent / "long.toml"
-        job_file.write_text(
-            sensors_only + '[fit]\nscope = "whole body"\n' + "".join(map(TAKE.format, range(count)))
-        )
+    with tempfile.TemporaryDirectory() as home:
+        folder = Path(home)
+        # apart: a child's peak memory begins with that of its parent
+        maker = multiprocessing.get_context("spawn").Process(target=make, args=(folder, wanted))
+        maker.start()
+        maker.join()
         begun = time.perf_counter()
-        command = [sys.executable, "-m", "ftcal.cli", "calibrate", str(job_file), "--json"]
-        subprocess.run(
-            [*command, "-o", str(Path(folder) / "out")], stdout=subprocess.DEVNULL, check=False
-        )
+        command = [sys.executable, "-m", "ftcal.cli", "calibrate", str(folder / "job.toml")]
+        with subprocess.Popen(
+            [*command, "--json", "-o", str(folder / "out")], stdout=subprocess.DEVNULL
+        ) as run:
+            _, _, used = os.wait4(run.pid, 0)
+            run.returncode = 0
         seconds = time.perf_counter() - begun
-        made = json.loads((Path(folder) / "out" / "metrics.json").read_text())
-    peak = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1024
-    print(f"{logged} samples of {len(PARTS)} sensors in {count} recordings, ftcal calibrate")
+        made = json.loads((folder / "out" / "metrics.json").read_text())
+        logged = sum(
+            parquet.read_metadata(file).num_rows
+            for file in folder.glob(f"wide */{PARTS[0]}*.parquet")
+        )
+    print(f"{logged} samples of {len(PARTS)} sensors in {len(made['recordings'])} recordings")
     print(
         f"{seconds:.1f} s, {seconds / logged * 1e6:.1f} us a sample, reading and report included;"
         f" kappa {made['prior']['kappa']:.3g}"
     )
-    print(f"peak memory {peak:.0f} MB")
+    print(f"peak memory {used.ru_maxrss / 1024:.0f} MB")
 
 
 if __name__ == "__main__":

@@ -62,8 +62,8 @@ def as_record(fleet: Fleet) -> dict[str, Any]:
 def print_fleet(console: Console, fleet: Fleet) -> None:
     """Print the table, what could not be done by name, and how much was done in this run."""
     if every := rows(fleet):
-        made = table("robot", "sensor", "verdict", "since\nlast", "force\nmoved", "torque\nmoved",
-                     "of full\nscale", "in\nsd", "recordings\nused", right=range(4, 9))  # fmt: skip
+        made = table("robot", "sensor", "verdict", "since last", "Δ force", "Δ torque",
+                     "of scale", "in sd", "used", right=range(4, 9))  # fmt: skip
         for robot, sensor in every:
             made.add_row(
                 Text(robot.name, overflow="fold"),

@@ -25,6 +25,9 @@ HELD_OUT = 0.25
 WORTH_SPLITTING = 20.0
 """Seconds of an interval below which all of it trains."""
 
+WIDTH = 100
+"""Columns of a terminal and of a line."""
+
 
 def draft(
     recording: Recording,
@@ -118,9 +121,9 @@ def window_lines(recording: Recording, schedule: ContactSchedule | None) -> Iter
         train.append((start, cut))
         if cut < stop:
             test.append((cut, stop))
-    yield f"train = {windows(train)}"
+    yield from listed("train", train)
     if test:
-        yield f"test = {windows(test)}"
+        yield from listed("test", test)
 
 
 def inwards(start: float, stop: float) -> tuple[float, float]:
@@ -128,9 +131,11 @@ def inwards(start: float, stop: float) -> tuple[float, float]:
     return math.ceil(100 * start) / 100, math.floor(100 * stop) / 100
 
 
-def windows(spans: Iterable[tuple[float, float]]) -> str:
-    """Return windows as TOML."""
-    return f"[{', '.join(f'[{a:.2f}, {b:.2f}]' for a, b in spans)}]"
+def listed(key: str, spans: Iterable[tuple[float, float]]) -> list[str]:
+    """Return windows as TOML: on a line where they find room, else a line each."""
+    windows = [f"[{a:.2f}, {b:.2f}]" for a, b in spans]
+    line = f"{key} = [{', '.join(windows)}]"
+    return [line] if len(line) <= WIDTH else [f"{key} = [", *(f"  {w}," for w in windows), "]"]
 
 
 def links(interval: Interval) -> str:

@@ -12,6 +12,7 @@ from rich.text import Text
 from ftcal.conventions import FREE
 from ftcal.payload import Payload
 from ftcal.poses import Poses
+from ftcal.report.words import figures as shown
 from ftcal.sensor import AXES, UNITS
 from ftcal.terminal import table
 
@@ -41,7 +42,7 @@ def print_payload(console: Console, poses: Poses, payload: Payload) -> None:
         made.add_row(f"centre of mass {axis}", *figures, "")
     for k, axis in enumerate(AXES):
         figures = _cells(payload.offset[k], payload.offset_error[k], UNITS[k])
-        made.add_row(f"offset {axis}", *figures, f"{payload.noise.sd[k]:.3g} {UNITS[k]}")
+        made.add_row(f"offset {axis}", *figures, f"{shown(payload.noise.sd[k])} {UNITS[k]}")
     console.print(made)
     fitted, held_out = payload.rms(payload.residual), payload.rms(payload.held_out)
     console.print(
@@ -63,7 +64,9 @@ def print_payload(console: Console, poses: Poses, payload: Payload) -> None:
     made = table("read as", "force left", "torque left", right=(1, 2))
     plain = [r for r in others if r.rank < FREE or r.misfit < told.misfit]
     for reading in (told, *plain[:RIVALS]):
-        made.add_row(Text(reading.words), f"{reading.force:.3g} N", f"{reading.torque:.3g} Nm")
+        made.add_row(
+            Text(reading.words), f"{shown(reading.force)} N", f"{shown(reading.torque)} Nm"
+        )
     console.print(made)
 
 

@@ -10,10 +10,11 @@ from rich.table import Table
 from rich.text import Text
 
 from ftcal.first_validation import IN_SITU, FirstValidation
+from ftcal.report.words import figures as digits
 from ftcal.second_validation import BEST, MIXED, WORKBENCH, SecondValidation, SubChain
 from ftcal.sensor import UNITS
 from ftcal.study import SensorStudy, StudyOutcome
-from ftcal.terminal import table
+from ftcal.terminal import figures, table
 from ftcal.validate import Scores
 
 
@@ -46,8 +47,9 @@ def remarks(first: FirstValidation) -> list[str]:
 def first_table(study: SensorStudy) -> Table:
     """Return the first validation, a training set a row, judged on what it did not train on."""
     first = study.first
-    made = table("trained on", "|e| elsewhere", "worst", "force RMS", "90 %", "torque RMS", "90 %",
-                 "", right=range(1, 7))  # fmt: skip
+    made = table("trained on", "|e|\nelsewhere", "worst\nelsewhere", "force\nRMS",
+                 "90 %\ninterval", "torque\nRMS", "90 %\ninterval", "",
+                 right=range(1, 7))  # fmt: skip
     percent = first.percent()
     made.columns[0].no_wrap = True
     for k, (one, mean) in enumerate(zip(first.sets, first.elsewhere(), strict=True)):
@@ -58,8 +60,8 @@ def first_table(study: SensorStudy) -> Table:
         ]
         made.add_row(
             Text(one.name),
-            f"{mean:.0f} %" if others else "-",
-            f"{max(others):.0f} %" if others else "-",
+            f"{digits(mean)} %" if others else "-",
+            f"{digits(max(others))} %" if others else "-",
             *cells(first.held_out[k], "force"),
             *cells(first.held_out[k], "torque"),
             "dropped" if one.name in first.dropped else "",
@@ -71,9 +73,8 @@ def cells(scores: Scores | None, name: str) -> tuple[str, str]:
     """Return the RMS percentage and its interval as cells."""
     if scores is None:
         return "-", "-"
-    score = scores.by_name[name]
-    low, high = score.interval
-    return f"{score.percent:.0f} %", f"{low:.0f}-{high:.0f}" if high < float("inf") else "-"
+    share, interval, *_ = figures(scores.by_name[name])
+    return share, interval
 
 
 def second_table(second: SecondValidation, lambdas: Sequence[float]) -> Table:

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from jaxtyping import Float
     from numpy import ndarray as Array
 
-KEPT = 128 * 1024**2
+KEPT = 64 * 1024**2
 """Bytes of recordings that are kept in memory."""
 
 

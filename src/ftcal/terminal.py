@@ -220,12 +220,13 @@ def print_diagnosis(console: Console, diagnosis: Diagnosis) -> None:
     for sensor in diagnosis.sensors:
         lines.add_row(Text(sensor.sensor), Text(sensor.told))
     console.print(lines)
-    made = table("free part", "misfit", "force", "of load", "torque", "of load", right=range(1, 6))
+    made = table("free part", "misfit", "force\nleft", "of its\nload", "torque\nleft",
+                 "of its\nload", right=range(1, 6))  # fmt: skip
     for part in diagnosis.parts:
         cells = [f"{part.misfit[0]:.2f}"]
         for left, load, unit in zip((part.force, part.torque), part.load, ("N", "Nm"), strict=True):
             share = f"{100 * left[0] / load:.0f} %" if load > 0 else "-"
-            cells += [f"{left[0]:.3g} {unit}", share]
+            cells += [f"{digits(left[0])} {unit}", share]
         rests = f"; {len(part.resting)} joints not logged" if part.resting else ""
         made.add_row(Text(f"{part.frame} ({', '.join(part.sensors)}{rests})"), *cells)
     console.print(made)
@@ -247,8 +248,14 @@ def print_noticed(
     for sensor, some in steps.items():
         for step in some:
             console.print(Text(f"{sensor}: {step.message}"), soft_wrap=True)
-        times = ", ".join(f"{step.time:.2f}" for step in some)
-        console.print(Text(f"  breaks = {{ {sensor} = [{times}] }}"), soft_wrap=True)
+    # one key of the recording: TOML has no second `breaks`
+    found = [
+        f"{sensor} = [{', '.join(f'{step.time:.2f}' for step in some)}]"
+        for sensor, some in steps.items()
+        if some
+    ]
+    if found:
+        console.print(Text(f"  breaks = {{ {', '.join(found)} }}"), soft_wrap=True)
 
 
 def print_inspection(console: Console, seen: Inspection) -> None:

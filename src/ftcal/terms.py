@@ -40,7 +40,7 @@ MODEL = 4
 CELL = 1.0
 """Length [s] of the cells whose sums of residuals tell how long they remember."""
 
-MOST_CELLS = 300
+MOST_CELLS = 200
 """Cells of a stretch, longer in long ones: means of more than a memory tell it as well."""
 
 

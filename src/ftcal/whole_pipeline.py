@@ -35,7 +35,10 @@ from ftcal.weighing import Weighing, weighed
 WORST_BEND = 0.1
 """Entry of E (fraction of full scale) beyond which logs are looked into: mountings bend by 0.03."""
 
-LOOKED_INTO = 120.0
+LOOKED_AT = 3
+"""Recordings that are searched."""
+
+LOOKED_INTO = 60.0
 """Seconds of every interval that are searched."""
 
 
@@ -74,7 +77,15 @@ def calibrate_whole_body(job: Job, *, progress: Progress = silent) -> WholeOutco
     findings = recordings.findings
     fit, tried = calibrate_suspecting(job, robot, channels, recordings, findings, steps)
     if job.whole_body.diagnose and suspicious(fit):
-        refuse_misread(job, robot, channels, recordings, findings)
+        worst = worst_left(fit)
+        some = [i for i, section in enumerate(job.recordings) if section.label in worst]
+        refuse_misread(
+            job.model_copy(update={"recordings": tuple(job.recordings[i] for i in some)}),
+            robot,
+            channels,
+            [recordings[i] for i in some],
+            [findings[i] for i in some],
+        )
     steps.begin("writing")
     flat = recordings.flat
     calibration = Calibration(
@@ -96,6 +107,14 @@ def suspicious(fit: WholeBody) -> bool:
     )
     gained = any(verdict.use for sensor in fit.sensors for verdict in sensor.verdicts)
     return not gained or bent > WORST_BEND
+
+
+def worst_left(fit: WholeBody) -> list[str]:
+    """Return the recordings in which most force is left over, those that are worth a look."""
+    left: dict[str, float] = {}
+    for one in fit.residuals:
+        left[one.recording] = max(left.get(one.recording, 0.0), one.whole_body.force)
+    return sorted(left, key=lambda name: -left[name])[:LOOKED_AT]
 
 
 def refuse_misread(
@@ -134,7 +153,7 @@ def refuse_misread(
 
 
 def beginnings(schedule: ContactSchedule) -> ContactSchedule:
-    """Return a schedule of the first two minutes of every interval: a wrong frame shows early."""
+    """Return a schedule of the first minute of every interval: a wrong frame shows early."""
     return ContactSchedule(
         tuple(
             replace(i, stop=min(i.stop, max(i.start, 0.0) + LOOKED_INTO))

@@ -135,7 +135,7 @@ def tried_table(outcome: WholeOutcome) -> Table:
     """Return what became of every suspected error of the model that the data see, a row each."""
     made = table("suspected", "found", "evidence\n[nats]", "held-out\nRMS", "believed",
                  "moves most", right=(1, 2, 3))  # fmt: skip
-    made.padding = (0, 1, 0, 0)
+    made.padding, made.show_edge = (0, 1, 0, 0), False
     made.columns[1].no_wrap = made.columns[5].no_wrap = True
     for one in outcome.tried:
         if one.seen:

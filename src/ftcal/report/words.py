@@ -66,9 +66,14 @@ def percent(fraction: float) -> str:
     return f"{value:.2g}\u00a0%" if abs(value) < 10 else f"{value:.0f}\u00a0%"
 
 
+def moment(stamp: str) -> str:
+    """Return an ISO 8601 stamp as a person writes it: `2026-11-21 23:20:11 UTC`."""
+    return stamp.replace("T", " ").replace("+00:00", " UTC")
+
+
 def span(interval: tuple[float, float]) -> str:
-    """Return a range of loads: `−31.2 … 4.05`."""
-    return f"{figures(interval[0])} … {figures(interval[1])}"
+    """Return a range of loads: `−31.2 … 4.05`, which breaks after its dots alone."""
+    return f"{figures(interval[0])}\u00a0… {figures(interval[1])}"
 
 
 def ends(interval: tuple[float, float]) -> str:
@@ -94,6 +99,7 @@ TEXT_FILTERS: dict[str, Callable[..., Any]] = {
     "fixed": fixed,
     "signed": signed,
     "percent": percent,
+    "moment": moment,
     "span": span,
     "ends": ends,
     "mark": mark,
