@@ -44,6 +44,7 @@ def unknown(kind: str, name: str, known: Iterable[str]) -> str:
     if not near and len(names) <= 8:
         near = names
     hint = f"; did you mean {', '.join(near)}?" if near else f" among {len(names)} known"
+    hint = hint if names else "; there is none at all"
     return f"no {kind} {name!r}{hint}"
 
 

@@ -115,6 +115,8 @@ def run_fleet(
     root, missing = Path(place).absolute(), dict[str, str]()
     if is_url(place):
         root, missing = fetched(place, cache / "fetched", progress=progress)
+    if not root.is_dir():
+        raise JobError(f"{place}: there is no such folder; name the one that holds the robots")
     members, reasons = joined(jobs_below(root, without=() if is_url(place) else (output, cache)))
     if not members and not reasons:
         raise JobError(f"{place}: no {JOB} below it; each robot is a folder with its job")

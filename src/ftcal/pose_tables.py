@@ -42,6 +42,9 @@ HABITS: Mapping[Attitude, tuple[str, ...]] = MappingProxyType({
 })  # fmt: skip
 """Columns looked for where none are named, the first found wins: gravity needs no convention."""
 
+SUFFIXES = frozenset({".csv", ".tsv", ".txt", ".parquet"})
+"""File names that are read as tables of poses."""
+
 BROKEN = 1e9
 """Numbers beyond are broken, not large, in any unit."""
 
@@ -126,7 +129,7 @@ class _Table:
     def numbers(self, names: Sequence[str]) -> Float[Array, "N K"]:
         """Return columns as float64; `LogError` where one is text or holds what is no number."""
         faults = [
-            f"column {name!r} is {self.columns[name].type}, not numbers"
+            f"column {name!r} is {self.columns[name].type}, not numbers: mend it or name another"
             for name in names
             if not _is_number(self.columns[name].type)
         ]
@@ -157,6 +160,9 @@ def _is_number(kind: Any) -> bool:
 
 
 def _load(file: Path, time: str) -> _Table:
+    if file.suffix.lower() not in SUFFIXES:
+        known = ", ".join(sorted(SUFFIXES))
+        raise LogError(f"{file}: no table of poses ends in {file.suffix!r}; give {known}")
     try:
         if file.suffix.lower() == ".parquet":
             table, first_row = parquet.read_table(str(file), partitioning=None), 1

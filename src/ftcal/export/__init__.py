@@ -206,7 +206,10 @@ def read(path: Path) -> tuple[Installed, ...]:
         kind = BY_SUFFIX.get(path.suffix.lower())
         if kind is None:
             known = ", ".join(BY_SUFFIX)
-            raise SensorError(f"{path}: unknown kind {path.suffix!r}; give one of {known}")
+            raise SensorError(
+                f"{path}: no calibration ends in {path.suffix!r}; give calibration.json, or a file"
+                f" that ftcal export wrote ({known})"
+            )
         if kind == "json" and b'"ftcal-calibration"' in content[:200]:
             known_sensors = read_calibration(path).sensors
             return tuple(installed(s, "auto" if s.offsets else "zero") for s in known_sensors)
