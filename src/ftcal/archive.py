@@ -10,7 +10,6 @@ from __future__ import annotations
 import hashlib
 import io
 import json
-import zipfile
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
@@ -19,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from ftcal.calibration import write_whole
+from ftcal.errors import NO_ARCHIVE
 
 TREE = "tree"
 """Name of the JSON text among the arrays."""
@@ -98,8 +98,7 @@ class Shelf:
         """Return the result at `place`, or None where there is none that can be read."""
         try:
             return unpacked(place.read_bytes(), self.kinds)
-        except (OSError, ValueError, KeyError, TypeError, EOFError, RuntimeError,
-                zipfile.BadZipFile):  # fmt: skip
+        except NO_ARCHIVE:
             return None
 
     def put(self, place: Path, record: Any) -> None:

@@ -6,7 +6,16 @@ A message is one line: the culprit, the value that is wrong, the way out.
 from __future__ import annotations
 
 import difflib
+import tokenize
+import zipfile
+import zlib
 from collections.abc import Iterable
+
+NO_ARCHIVE = (
+    OSError, ValueError, KeyError, TypeError, EOFError, RuntimeError, MemoryError, SyntaxError,
+    tokenize.TokenError, zipfile.BadZipFile, zlib.error,
+)  # fmt: skip
+"""What NumPy and zipfile raise at an archive of arrays that is none."""
 
 
 class FtcalError(Exception):

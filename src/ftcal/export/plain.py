@@ -4,22 +4,16 @@ from __future__ import annotations
 
 import io
 import json
-import zipfile
-import zlib
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from ftcal.calibration import to_json
-from ftcal.errors import SensorError
+from ftcal.errors import NO_ARCHIVE, SensorError
 from ftcal.export.installed import Installed, Sheet, with_provenance
 
 FORMAT = "ftcal-export"
-
-BROKEN = (ValueError, KeyError, TypeError, OSError, EOFError, RuntimeError, MemoryError,
-          zipfile.BadZipFile, zlib.error)  # fmt: skip
-"""What NumPy and zipfile raise at an archive that is none."""
 
 
 def carried(law: Installed) -> Installed:
@@ -111,8 +105,9 @@ def decode_npz(content: bytes, where: str) -> tuple[Installed, ...]:
                 )
                 for about in record["sensors"]
             )
-    except BROKEN as error:
-        raise SensorError(f"{where}: not an archive of ftcal: {error}") from error
+    except NO_ARCHIVE as error:
+        reason = " ".join(str(error).split()) or type(error).__name__
+        raise SensorError(f"{where}: not an archive of ftcal: {reason}") from error
 
 
 def remarks(law: Installed) -> list[str]:

@@ -17,7 +17,6 @@ promise 10^12 samples. Nothing is unpickled.
 from __future__ import annotations
 
 import zipfile
-import zlib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -25,7 +24,7 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from ftcal.errors import LogError, raise_all, unknown
+from ftcal.errors import NO_ARCHIVE, LogError, raise_all, unknown
 from ftcal.logs.layout import WRENCH_AXES, Layout
 
 JOINT_ARRAYS = ("q", "joints", "joint_positions")
@@ -52,9 +51,9 @@ def load_npz(file: Path, layout: Layout) -> Any:
     try:
         with zipfile.ZipFile(file) as archive:
             arrays = _arrays(archive, file)
-    except (zipfile.BadZipFile, zlib.error, EOFError, ValueError, NotImplementedError,
-            RuntimeError) as error:  # fmt: skip
-        raise LogError(f"{file}: not a readable .npz: {error or 'it ends early'}") from error
+    except NO_ARCHIVE as error:
+        reason = " ".join(str(error).split()) or "it ends early"
+        raise LogError(f"{file}: not a readable .npz: {reason}") from error
     time = arrays.get(layout.time)
     if time is None or time.size != time.shape[:1][0]:
         vectors = [name for name, array in arrays.items() if array.ndim == 1]
