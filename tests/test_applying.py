@@ -19,7 +19,6 @@ from ftcal.applying import (
     by_rows,
     chosen_offset,
     corrected,
-    longest_pause,
     refused,
     temperature_at,
     wrench_sd,
@@ -32,7 +31,7 @@ from ftcal.errors import DataError, LogError, OutputError
 from ftcal.logs import tables
 from ftcal.pipeline import calibrate
 from ftcal.recording import NANOSECONDS, Recording, Signal
-from ftcal.signals import default_gap, interpolate
+from ftcal.signals import default_gap, interpolate, longest_pause
 from pretend import FULL_SCALE
 from small_world import take, truth, write_world
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import signal
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -42,20 +41,6 @@ def deadly_once(marks: tuple[int, str]) -> int:
 
 def wrong_at_three(number: int) -> int:
     return 1 // (3 - number)
-
-
-@pytest.fixture(scope="module")
-def cluster() -> Iterator[Cluster]:
-    distributed = pytest.importorskip("distributed")
-    with distributed.LocalCluster(
-        n_workers=1,
-        threads_per_worker=1,
-        processes=False,
-        dashboard_address=None,
-        protocol="tcp",
-        silence_logs=50,
-    ) as running:
-        yield Cluster(running.scheduler_address)
 
 
 @pytest.mark.parametrize("where", [Here(), Processes(2)])

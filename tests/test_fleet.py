@@ -9,7 +9,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -87,20 +87,6 @@ def warm(tmp_path_factory: pytest.TempPathFactory) -> Job:
 @pytest.fixture(scope="module")
 def serial(warm: Job) -> dict[str, Any]:
     return said(calibrate(warm).calibration)
-
-
-@pytest.fixture(scope="module")
-def cluster() -> Iterator[Cluster]:
-    distributed = pytest.importorskip("distributed")
-    with distributed.LocalCluster(
-        n_workers=1,
-        threads_per_worker=1,
-        processes=False,
-        dashboard_address=None,
-        protocol="tcp",
-        silence_logs=50,
-    ) as running:
-        yield Cluster(running.scheduler_address)
 
 
 def test_the_warm_job_shows_what_it_is_for(serial: dict[str, Any]) -> None:

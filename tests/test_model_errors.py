@@ -26,7 +26,6 @@ from ftcal.kinematics import relative_pose
 from ftcal.law import Law
 from ftcal.model_errors import DECISIVE, DISTINCT, Tried, calibrate_suspecting
 from ftcal.motion import STANDARD_GRAVITY
-from ftcal.pairing import FtChannel
 from ftcal.progress import Steps, silent
 from ftcal.robot import Robot
 from ftcal.spatial import rotation_about, wrench_transform
@@ -36,11 +35,10 @@ from ftcal.terms import Segment, features
 from ftcal.unknowns import GroupNoise, Normal, Unknowns
 from ftcal.whole_pipeline import calibrate_whole_body
 from ftcal.whole_tables import print_whole
-from pretend import FULL_SCALE, bent, workbench
 from real import needs_genova02
-from study_world import LEGS, ideal, moved, schedule, seen_motion, signal
+from study_world import LEGS, ideal, moved, schedule, seen_motion
 from test_real_whole_body import WHOLE_JOB
-from test_whole_body import EXACT, SECONDS, SPANS, WALKER, World, departures, frames_of, job
+from test_whole_body import EXACT, SECONDS, SPANS, WALKER, World, departures, frames_of, job, sensed
 from test_whole_report import an_outcome
 from walker import SENSORS
 
@@ -96,16 +94,7 @@ def world(planted: Planted, seed: int, *, noise: float = 1e-4) -> World:
         rows = (time >= SPANS[1][0]) & (time < SPANS[1][1])
         felt = {name: np.where(rows[:, None], tilted[name], wrench)
                 for name, wrench in felt.items()}  # fmt: skip
-    priors = {name: replace(workbench(k), logged="channels") for k, name in enumerate(SENSORS)}
-    gain = {name: bent(prior, rng, 0.02) for name, prior in priors.items()}
-    offset = {name: rng.uniform(-0.1, 0.1, 6) * FULL_SCALE for name in SENSORS}
-    signals = []
-    for name, wrench in felt.items():
-        disturbed = wrench + noise * FULL_SCALE * rng.normal(size=wrench.shape)
-        raw = np.linalg.solve(gain[name], (disturbed - offset[name]).T).T
-        signals.append(signal(f"{name}/analog:o", "abcdef", raw))
-    channels = [FtChannel(name, f"{name}/analog:o", prior) for name, prior in priors.items()]
-    return World(replace(log, channels=tuple(signals)), channels, gain, offset)
+    return sensed(log, felt, rng, kappa=0.02, noise=noise)
 
 
 def tried_on(

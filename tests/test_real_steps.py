@@ -19,7 +19,7 @@ from ftcal.logs import Layout, read
 from ftcal.motion import STANDARD_GRAVITY
 from ftcal.pairing import FtChannel
 from ftcal.pipeline import Outcome, calibrate
-from ftcal.steps import Step, offset_steps
+from ftcal.steps import Step, unrest
 from ftcal.urdf import read_robot
 from ftcal.whole_pipeline import calibrate_whole_body
 from ftcal.workbench import read_workbench
@@ -34,14 +34,14 @@ def hip() -> tuple[Step, ...]:
     """Return the steps while the right leg is free."""
     recording = read(GENOVA02 / "left_leg_support", Layout(zero="right_leg/analog:o"))
     prior = read_workbench(GENOVA02 / "matrices/matrix_SN026.txt")
-    return offset_steps(
+    return unrest(
         recording,
         read_robot(GENOVA02 / "iCubGenova02.urdf"),
         FtChannel("r_leg_ft_sensor", "right_leg/analog:o", prior),
         ContactSchedule((Interval(16.8, 61.5, "l_sole"),)),
         gravity=STANDARD_GRAVITY,
         findings=examine(recording),
-    )
+    ).steps
 
 
 def near(time: float) -> Step:

@@ -17,7 +17,7 @@ from ftcal.pairing import FtChannel
 from ftcal.recording import Recording, Signal
 from ftcal.robot import Robot
 from ftcal.sensor import Workbench
-from ftcal.steps import Step, offset_steps
+from ftcal.steps import Step, unrest
 from ftcal.support import standing_on
 from ftcal.synthetic import Conditions, Faults, OffsetStep, Session, Take, simulate
 from walker import SIGNALS, walker
@@ -75,14 +75,14 @@ def channel(session: Session) -> FtChannel:
 
 def found(session: Session, recording: Recording | None = None) -> tuple[Step, ...]:
     recording = recording or session.recordings[0]
-    return offset_steps(
+    return unrest(
         recording,
         robot(),
         channel(session),
         ON_LEFT,
         gravity=STANDARD_GRAVITY,
         findings=examine(recording),
-    )
+    ).steps
 
 
 def with_values(recording: Recording, values: Float[Array, "N 6"]) -> Recording:

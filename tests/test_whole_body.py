@@ -81,6 +81,18 @@ def world(seed: int = 0, *, kappa: float = 0.02, noise: float = 0.0) -> World:
     rng = np.random.default_rng(seed)
     log = moved(LEGS, rng, seconds=SECONDS)
     felt = ideal(log, WALKER, SENSORS, schedule(*SPANS))
+    return sensed(log, felt, rng, kappa=kappa, noise=noise)
+
+
+def sensed(
+    log: Recording,
+    felt: Mapping[str, Float[Array, "N 6"]],
+    rng: np.random.Generator,
+    *,
+    kappa: float,
+    noise: float,
+) -> World:
+    """Return what sensors bent by `kappa` log of the wrenches that they felt."""
     priors = {name: replace(workbench(k), logged="channels") for k, name in enumerate(SENSORS)}
     gain = {name: bent(prior, rng, kappa) for name, prior in priors.items()}
     offset = {name: rng.uniform(-0.1, 0.1, 6) * FULL_SCALE for name in SENSORS}

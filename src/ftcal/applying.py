@@ -28,7 +28,7 @@ from ftcal.errors import DataError, OutputError, unknown
 from ftcal.logs.pieces import Pieces
 from ftcal.recording import NANOSECONDS, Recording, Signal
 from ftcal.sensor import AXES
-from ftcal.signals import default_gap
+from ftcal.signals import default_gap, longest_pause
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Int
@@ -186,11 +186,6 @@ def inputs(
 def channels_of_logged(sensor: SensorCalibration) -> Float[Array, "K K"]:
     """Return the matrix that makes raw channels of what a log carries: the identity, or C_w^-1."""
     return sensor.workbench().channels(np.eye(len(sensor.gain[0]))).T
-
-
-def longest_pause(period: float) -> float:
-    """Return `default_gap` [s] of a signal from its median period [s]; NaN is of one sample."""
-    return max(0.05, 5.0 * period)
 
 
 def temperature_at(thermometer: Signal, clock: Int[Array, "N"], gap: float) -> Float[Array, "N"]:

@@ -11,13 +11,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
-from ftcal import __version__, logs
+from ftcal import __version__
 from ftcal.archive import Shelf
 from ftcal.balances import Balance, balances
 from ftcal.config import Job, RecordingSection
 from ftcal.errors import DataError, OutputError
 from ftcal.firmware import estimate_full_scale
-from ftcal.health import examine, logs_counts
+from ftcal.health import logs_counts
 from ftcal.logs.columns import digest, file_sha256
 from ftcal.logs.yarp import SAMPLES
 from ftcal.offset import InSituOffset
@@ -26,7 +26,7 @@ from ftcal.pairing import FtChannel, one_sided
 from ftcal.recording import Finding, Recording, Signal
 from ftcal.robot import Robot
 from ftcal.samples import Samples
-from ftcal.takes import log_of
+from ftcal.takes import examined, log_of
 
 T = TypeVar("T")
 
@@ -136,9 +136,7 @@ def ingredients(
 def _made(
     job: Job, robot: Robot, channels: Sequence[FtChannel], section: RecordingSection
 ) -> Prepared:
-    recording = logs.read(log_of(job, section), section.layout(), name=section.label)
-    firmware = {c.signal: c.workbench.firmware for c in channels}
-    findings = (*recording.findings, *examine(recording, sensors=firmware, robot=robot))
+    recording, findings = examined(job, robot, channels, section)
     switches = section.label == job.study.switching
     return Prepared(
         recording.name,

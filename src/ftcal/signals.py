@@ -47,7 +47,12 @@ def odd_window(seconds: float, period: float) -> int:
 
 def default_gap(signal: Signal) -> float:
     """Return the longest pause [s] that is not a hole: 5 median periods, at least 0.05 s."""
-    return max(0.05, 5.0 * signal.period) if len(signal) > 1 else 0.05
+    return longest_pause(signal.period)
+
+
+def longest_pause(period: float) -> float:
+    """Return `default_gap` [s] of a signal from its median period [s]; NaN is of one sample."""
+    return max(0.05, 5.0 * period)
 
 
 def runs(

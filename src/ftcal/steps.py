@@ -87,39 +87,15 @@ def all_steps(
     found = {}
     for channel in matched_channels(recording, robot):
         with suppress(DataError, RobotError):  # not free, or its joints are not logged
-            found[channel.sensor] = offset_steps(
+            found[channel.sensor] = unrest(
                 recording,
                 robot,
                 channel,
                 schedule,
                 gravity=STANDARD_GRAVITY,
                 findings=findings,
-            )
+            ).steps
     return {name: steps for name, steps in found.items() if steps}
-
-
-def offset_steps(
-    recording: Recording,
-    robot: Robot,
-    channel: FtChannel,
-    schedule: ContactSchedule,
-    *,
-    gravity: tuple[float, float, float],
-    imu: str | None = None,
-    findings: Iterable[Finding] = (),
-    options: SignalOptions | None = None,
-) -> tuple[Step, ...]:
-    """Return the steps of a sensor's offset while its limb is free; see `unrest`."""
-    return unrest(
-        recording,
-        robot,
-        channel,
-        schedule,
-        gravity=gravity,
-        imu=imu,
-        findings=findings,
-        options=options,
-    ).steps
 
 
 def unrest(

@@ -97,13 +97,11 @@ class Takes(Sequence[Recording]):
         Raises `JobError` where a log is missing, `LogError` where one cannot be believed.
         """
         outlines, findings, kept, size = [], [], {}, 0
-        firmware = {channel.signal: channel.workbench.firmware for channel in channels}
         for i, section in enumerate(job.recordings):
             steps.begin(f"reading {section.label}")
-            recording = _read(job, section)
+            recording, found = examined(job, robot, channels, section)
             outlines.append(recording.outline())
-            found = examine(recording, sensors=firmware, robot=robot)
-            findings.append((*recording.findings, *found))
+            findings.append(found)
             size += recording.size
             if size <= (KEPT if most is None else most):
                 kept[i] = recording
@@ -138,6 +136,16 @@ def log_of(job: Job, section: RecordingSection) -> Path:
     if not path.exists():
         raise JobError(f"{job.file}: no log at {section.log}; paths are relative to the job")
     return path
+
+
+def examined(
+    job: Job, robot: Robot, channels: Sequence[FtChannel], section: RecordingSection
+) -> tuple[Recording, tuple[Finding, ...]]:
+    """Return one recording of a job and what is wrong with it; raises as `Takes.read`."""
+    recording = _read(job, section)
+    firmware = {channel.signal: channel.workbench.firmware for channel in channels}
+    found = examine(recording, sensors=firmware, robot=robot)
+    return recording, (*recording.findings, *found)
 
 
 def _read(job: Job, section: RecordingSection) -> Recording:

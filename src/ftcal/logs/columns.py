@@ -102,9 +102,14 @@ def require_finite(
         return
     row, column = np.argwhere(~finite)[0]
     count = int(finite.size - finite.sum())
-    raise LogError(
-        f"{where}, row {row + first_row}: column {names[column]!r} is {values[row, column]}"
-        f" ({count} such values in all); cut these rows, or leave the column out"
+    raise not_finite(where, int(row) + first_row, names[column], values[row, column], count)
+
+
+def not_finite(where: str, row: int, name: str, value: object, count: int) -> LogError:
+    """Return the error that names the first of `count` values that are no finite numbers."""
+    return LogError(
+        f"{where}, row {row}: column {name!r} is {value} ({count} such values in all);"
+        " cut these rows, or leave the column out"
     )
 
 

@@ -143,11 +143,8 @@ class StreamedTable:
                 count = len(bad) + sum(
                     int((_bad(stretch, names)[:, 0] >= stretch.again).sum()) for stretch in rest
                 )
-                return LogError(
-                    f"{self.source.file}, row {row + first.first_row}: column {names[column]!r} is"
-                    f" {np.nan if value is None else value} ({count} such values in all);"
-                    " cut these rows, or leave the column out"
-                )
+                where, value = str(self.source.file), np.nan if value is None else value
+                return columns.not_finite(where, row + first.first_row, names[column], value, count)
         return None
 
 

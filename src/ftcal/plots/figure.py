@@ -7,6 +7,7 @@ of colour vision; a dash, a marker or a pattern says the same again.
 from __future__ import annotations
 
 import base64
+import math
 import textwrap
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
@@ -98,6 +99,20 @@ def joined(
     if not times:
         return np.zeros(0), np.zeros((0, 6))
     return np.concatenate(times), np.concatenate(tables)
+
+
+def chosen_label(kappa: float) -> dict[str, Any]:
+    """Return the label of the kappa that was chosen, at the foot of a logarithmic axis of them."""
+    return {
+        "text": f"chosen {kappa:.3g}",
+        "showarrow": False,
+        "x": math.log10(kappa),  # annotations count a logarithmic axis in powers
+        "xanchor": "left",
+        "yref": "paper",
+        "y": 0.01,
+        "yanchor": "bottom",
+        "xshift": 4,
+    }
 
 
 def thinned(values: Float[Array, "N"], points: int = POINTS) -> Int[Array, "M"]:

@@ -15,6 +15,7 @@ from ftcal.plots.figure import (
     VERMILLION,
     Figure,
     base_layout,
+    chosen_label,
     packed,
     plain,
     plain_axis,
@@ -174,18 +175,7 @@ def prior_curve(names: str, choice: PriorChoice) -> Figure:
             "label": {"text": "Workbench", "textposition": "end", "font": {"size": 10}},
         },
     ]
-    layout["annotations"] = [
-        {
-            "text": f"chosen {choice.chosen:.3g}",
-            "showarrow": False,
-            "x": float(np.log10(choice.chosen)),  # annotations count a logarithmic axis in powers
-            "xanchor": "left",
-            "yref": "paper",
-            "y": 0.01,
-            "yanchor": "bottom",
-            "xshift": 4,
-        }
-    ]
+    layout["annotations"] = [chosen_label(choice.chosen)]
     return {"data": traces, "layout": layout}
 
 

@@ -20,6 +20,7 @@ from ftcal.plots.figure import (
     ORANGE,
     Figure,
     base_layout,
+    chosen_label,
     packed,
     plain,
     plain_axis,
@@ -212,16 +213,5 @@ def stretch_curve(choice: Choice) -> Figure:
             "line": {"color": BLACK, "width": 1.5, "dash": "dash"},
         }
     ]
-    layout["annotations"] = [
-        {
-            "text": f"chosen {choice.chosen:.3g}",
-            "showarrow": False,
-            "x": float(np.log10(choice.chosen)),  # annotations count a logarithmic axis in powers
-            "xanchor": "left",
-            "yref": "paper",
-            "y": 0.01,
-            "yanchor": "bottom",
-            "xshift": 4,
-        }
-    ]
+    layout["annotations"] = [chosen_label(choice.chosen)]
     return {"data": traces, "layout": layout}
