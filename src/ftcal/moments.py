@@ -46,26 +46,6 @@ class Moments:
         rest = centred.mean(axis=0)
         return Moments(count, mean + rest, centred.T @ centred - count * np.outer(rest, rest))
 
-    @staticmethod
-    def of_each(rows: Float[Array, "N D"], edges: Int[Array, "E"]) -> list[Moments]:
-        """Return the moments of the pieces of a table that begin and end at `edges`, none empty."""
-        found: list[Moments] = []
-        for at in range(0, len(edges) - 1, PIECES):
-            starts = edges[at : at + PIECES + 1]
-            counts = np.diff(starts)
-            inside = rows[starts[0] : starts[-1]]
-            starts = starts[:-1] - starts[0]
-            mean = np.add.reduceat(inside, starts, axis=0) / counts[:, None]
-            which = np.repeat(np.arange(len(counts)), counts)
-            # rows that a shorter piece lacks stay zero, and add nothing
-            centred = np.zeros((len(counts), counts.max(), rows.shape[1]))
-            centred[which, np.arange(len(inside)) - starts[which]] = inside - mean[which]
-            rest = centred.sum(axis=1) / counts[:, None]
-            scatter = centred.transpose(0, 2, 1) @ centred
-            scatter -= counts[:, None, None] * (rest[:, :, None] * rest[:, None, :])
-            found += map(Moments, counts.tolist(), mean + rest, scatter)
-        return found
-
     def __add__(self, other: Moments) -> Moments:
         """Return the moments of both tables stacked, which share one mean."""
         count = self.count + other.count
@@ -96,6 +76,85 @@ class Moments:
     def covariance(self) -> Float[Array, "D D"]:
         """Return the scatter per row (zero without rows)."""
         return self.scatter / max(self.count, 1)
+
+
+@dataclass(frozen=True, slots=True)
+class Stacked:
+    """Moments of B tables of the same columns, stacked along their first axis."""
+
+    count: Float[Array, "B"]
+    """Rows of each."""
+    mean: Float[Array, "B D"]
+    scatter: Float[Array, "B D D"]
+
+    @staticmethod
+    def of_each(rows: Float[Array, "N D"], edges: Int[Array, "E"]) -> Stacked:
+        """Return the moments of the pieces of a table that begin and end at `edges`, none empty."""
+        found = [_of_pieces(rows, edges[at : at + PIECES + 1])
+                 for at in range(0, len(edges) - 1, PIECES)]  # fmt: skip
+        return Stacked.joined(found, rows.shape[1])
+
+    @staticmethod
+    def joined(parts: Sequence[Stacked], width: int) -> Stacked:
+        """Return stacks of D = `width` columns one after the other; of none an empty one."""
+        none = Stacked(np.zeros(0), np.zeros((0, width)), np.zeros((0, width, width)))
+        if len(parts) < 2:
+            return parts[0] if parts else none
+        return Stacked(
+            np.concatenate([part.count for part in parts]),
+            np.concatenate([part.mean for part in parts]),
+            np.concatenate([part.scatter for part in parts]),
+        )
+
+    def __len__(self) -> int:
+        return len(self.count)
+
+    def __getitem__(self, which: slice | Array) -> Stacked:
+        return Stacked(self.count[which], self.mean[which], self.scatter[which])
+
+    def one(self, which: int) -> Moments:
+        """Return the moments of one table."""
+        return Moments(float(self.count[which]), self.mean[which], self.scatter[which])
+
+    def merged(self, starts: Int[Array, "G"]) -> Stacked:
+        """Return neighbours put together: group g is `starts[g]` to before `starts[g + 1]`."""
+        if len(starts) == len(self):
+            return self
+        which = np.repeat(np.arange(len(starts)), np.diff(np.append(starts, len(self))))
+        count = np.add.reduceat(self.count, starts)
+        safe = np.where(count > 0, count, 1.0)
+        # about one of the means: the others are near it, zero is not
+        steps = self.mean - self.mean[starts][which]
+        step = np.add.reduceat(self.count[:, None] * steps, starts) / safe[:, None]
+        apart = steps - step[which]
+        between = (self.count[:, None] * apart)[:, :, None] * apart[:, None, :]
+        scatter = np.add.reduceat(self.scatter + between, starts)
+        return Stacked(count, self.mean[starts] + step, scatter)
+
+    def moved(self, by: Float[Array, "D"]) -> Stacked:
+        """Return the moments of the same rows with `by` added to each."""
+        return Stacked(self.count, self.mean + by, self.scatter)
+
+
+def _of_pieces(rows: Float[Array, "N D"], edges: Int[Array, "E"]) -> Stacked:
+    counts = np.diff(edges)
+    inside = rows[edges[0] : edges[-1]]
+    starts = edges[:-1] - edges[0]
+    if (counts == counts[0]).all():
+        pieces = inside.reshape(len(counts), counts[0], rows.shape[1])
+        mean = pieces.mean(axis=1)
+        centred = pieces - mean[:, None]
+    else:
+        mean = np.add.reduceat(inside, starts, axis=0) / counts[:, None]
+        which = np.repeat(np.arange(len(counts)), counts)
+        # rows that a shorter piece lacks stay zero, and add nothing
+        centred = np.zeros((len(counts), counts.max(), rows.shape[1]))
+        centred[which, np.arange(len(inside)) - starts[which]] = inside - mean[which]
+    # a rounded mean leaves a rest of order eps * |mean|: take it out of the scatter as well
+    rest = centred.sum(axis=1) / counts[:, None]
+    scatter = centred.transpose(0, 2, 1) @ centred
+    scatter -= counts[:, None, None] * (rest[:, :, None] * rest[:, None, :])
+    return Stacked(counts.astype(np.float64), mean + rest, scatter)
 
 
 def total(parts: Sequence[Moments]) -> Moments:
