@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from ftcal.folds import Cells, cells
 from ftcal.samples import Samples
+from ftcal.segments import Segment
 from ftcal.sensor import Workbench
 
 FULL_SCALE = np.array([1587.0, 1823.0, 2113.0, 37.0, 38.0, 24.0])
@@ -48,3 +50,8 @@ def samples(
     channels = np.linalg.solve(gain, (wrench - offset * FULL_SCALE).T).T
     felt = wrench + rng.normal(size=wrench.shape) * noise * FULL_SCALE
     return Samples(recording, 0.0, seconds, time, channels, felt)
+
+
+def tiled(*stretches: Samples, length: float = 1.0) -> Cells:
+    """Return the cells of so many seconds that tile the stretches, an offset segment each."""
+    return cells([Segment.of(stretch, length) for stretch in stretches])

@@ -10,11 +10,10 @@ import pytest
 
 from ftcal.excitation import in_words
 from ftcal.fit import FitOptions, fit
-from ftcal.folds import cells
 from ftcal.samples import Samples
 from ftcal.sensor import AXES, Workbench
 from ftcal.verdict import identifiable, judge, overall
-from pretend import FULL_SCALE, bent, samples, workbench
+from pretend import FULL_SCALE, bent, samples, tiled, workbench
 
 PRIOR = workbench()
 POSES = (
@@ -24,7 +23,7 @@ POSES = (
 
 def test_rich_motion_is_accepted_in_every_direction() -> None:
     rng = np.random.default_rng(0)
-    found = fit(cells([samples(bent(PRIOR, rng), rng)], 1.0), PRIOR)
+    found = fit(tiled(samples(bent(PRIOR, rng), rng)), PRIOR)
     assert found.excitation.rank == 6
     assert all(identifiable(found.excitation, axis).word == "ACCEPT" for axis in range(6))
 
@@ -35,7 +34,7 @@ def test_axes_that_never_move_are_directions_not_excited(moving: int) -> None:
     some = samples(PRIOR.gain, rng, axes=moving)
     # white noise on the channels: even a still axis is never exactly still
     noisy = some.channels + rng.normal(size=some.channels.shape)
-    found = fit(cells([dataclasses.replace(some, channels=noisy)], 1.0), PRIOR)
+    found = fit(tiled(dataclasses.replace(some, channels=noisy)), PRIOR)
     assert found.excitation.rank == moving
     verdict = identifiable(found.excitation, 0)
     assert verdict.word == "PARTIAL"
@@ -48,7 +47,7 @@ def test_directions_not_excited_stay_at_the_prior() -> None:
     gain = bent(PRIOR, rng)
     some = samples(gain, rng, axes=4)
     noisy = dataclasses.replace(some, channels=some.channels + rng.normal(size=(2000, 6)))
-    found = fit(cells([noisy], 1.0), PRIOR, FitOptions(kappa=0.03))
+    found = fit(tiled(noisy), PRIOR, FitOptions(kappa=0.03))
     E = (found.estimate.gain - PRIOR.gain) / FULL_SCALE[:, None] @ np.linalg.inv(PRIOR.scaling)
     for direction in found.excitation.directions:
         along = np.abs(E @ direction.vector).max()
@@ -62,7 +61,7 @@ def test_a_robot_that_stands_still_is_refused() -> None:
     rng = np.random.default_rng(2)
     some = samples(PRIOR.gain, rng, share=0.0, noise=1e-3)
     noisy = some.channels + rng.normal(size=some.channels.shape)
-    found = fit(cells([dataclasses.replace(some, channels=noisy)], 1.0), PRIOR)
+    found = fit(tiled(dataclasses.replace(some, channels=noisy)), PRIOR)
     assert [v.word for v in judge(found.excitation, None, FULL_SCALE)] == ["REFUSE"] * 6
 
 
@@ -76,7 +75,7 @@ def test_scale_gauge_of_a_lone_balance_is_refused() -> None:
     shank = Samples("shank", 0.0, 20.0, true.time, both, weight)
     gains = np.concatenate([PRIOR.gain, PRIOR.gain], axis=1)
     prior = Workbench("both", gains, FULL_SCALE, "channels")
-    plain = fit(cells([shank], 1.0), prior, FitOptions(penalty=1e-9))
+    plain = fit(tiled(shank), prior, FitOptions(penalty=1e-9))
     assert plain.excitation.scale_is_free
     verdicts = judge(plain.excitation, None, FULL_SCALE)
     assert {v.word for v in verdicts} == {"REFUSE"}
@@ -98,7 +97,7 @@ def test_one_static_payload_leaves_three_directions_unexcited() -> None:
     poses = Samples(
         "poses", 0, 24, np.arange(24.0), reading, sign * np.concatenate([force, torque], axis=1)
     )
-    found = fit(cells([poses], 1.0), prior, FitOptions(kappa=0.03))
+    found = fit(tiled(poses), prior, FitOptions(kappa=0.03))
     assert found.excitation.rank == 3
     assert len(found.excitation.unexcited) == 3
     for axis in range(6):
@@ -106,7 +105,7 @@ def test_one_static_payload_leaves_three_directions_unexcited() -> None:
         assert verdict.word == "PARTIAL"
         assert "3 directions not excited" in verdict.reason
     # cross-validation is blind to it: plain least squares looks fine, its null columns are noise
-    plain = fit(cells([poses], 1.0), prior, FitOptions(penalty=0.0))
+    plain = fit(tiled(poses), prior, FitOptions(penalty=0.0))
     assert np.abs(plain.estimate.gain - np.eye(6)).max() > 0.5
 
 

@@ -15,7 +15,7 @@ from ftcal.folds import about_zero, blocked_folds, by_segment, cells, pooled
 from ftcal.noise import Noise, inefficiency
 from ftcal.ridge import ScaledProblem
 from ftcal.sandwich import robust_posterior
-from pretend import FULL_SCALE, bent, samples, workbench
+from pretend import FULL_SCALE, bent, samples, tiled, workbench
 
 PRIOR = workbench()
 
@@ -39,8 +39,8 @@ def test_inefficiency_counts_repeated_samples(memory: int) -> None:
 def test_cells_tile_every_segment_without_loss() -> None:
     rng = np.random.default_rng(0)
     segments = [samples(PRIOR.gain, rng, count=n) for n in (333, 77)]
-    tiles = cells(segments, 1.0)
-    assert sum(tile.moments.count for tile in tiles) == 333 + 77
+    tiles = tiled(*segments)
+    assert tiles.samples == tiles.moments.count.sum() == 333 + 77
     assert [len(group) for group in by_segment(tiles)] == [20, 20]
 
 
@@ -48,20 +48,18 @@ def test_cells_tile_every_segment_without_loss() -> None:
 @settings(max_examples=15, deadline=None)
 def test_folds_hold_out_every_cell_once_and_guard_it(count: int, guard: int) -> None:
     rng = np.random.default_rng(0)
-    tiles = cells([samples(PRIOR.gain, rng, count=200) for _ in range(2)], 1.0)
+    tiles = tiled(*(samples(PRIOR.gain, rng, count=200) for _ in range(2)))
     folds = blocked_folds(tiles, count, guard)
-    held = [(c.segment, c.index) for fold in folds for c in fold.held]
-    assert sorted(held) == sorted((c.segment, c.index) for c in tiles)
+    np.testing.assert_array_equal(np.sum([fold.held.chosen for fold in folds], axis=0), 1)
     for fold in folds:
-        for train in fold.train:
-            assert all(
-                train.segment != c.segment or abs(train.index - c.index) > guard for c in fold.held
-            )
+        train, held = fold.train.rows[:, None], fold.held.rows
+        away = np.abs(tiles.index[train] - tiles.index[held])
+        assert ((tiles.segment[train] != tiles.segment[held]) | (away > guard)).all()
 
 
 def test_too_few_cells_for_the_folds_are_refused() -> None:
     rng = np.random.default_rng(0)
-    tiles = cells([samples(PRIOR.gain, rng, count=50, seconds=5.0)], 1.0)
+    tiles = tiled(samples(PRIOR.gain, rng, count=50, seconds=5.0))
     with pytest.raises(DataError, match="5 cells of training data are too few for 5 folds"):
         blocked_folds(tiles, 5)
 
@@ -70,7 +68,7 @@ def test_measured_noise_is_the_noise_put_in() -> None:
     rng = np.random.default_rng(2)
     some = samples(bent(PRIOR, rng), rng, count=20000, noise=0.0, seconds=200.0)
     felt = some.wrench + 1e-3 * FULL_SCALE * correlated(rng, 20000, 20)
-    tiles = cells([dataclasses.replace(some, wrench=felt)], 1.0)
+    tiles = tiled(dataclasses.replace(some, wrench=felt))
     noise = measured_noise(tiles, ScaledProblem.of(pooled(tiles), PRIOR), FitOptions())
     np.testing.assert_allclose(noise.sd, 1e-3 * FULL_SCALE, rtol=0.1)
     # three standard errors: sqrt(2 (2 M + 1) / N), M = 100 lags
@@ -85,7 +83,7 @@ def test_truth_lies_within_three_standard_errors() -> None:
         gain = bent(PRIOR, rng)
         some = samples(gain, rng, count=6000, noise=0.0, seconds=60.0)
         felt = some.wrench + 5e-4 * FULL_SCALE * correlated(rng, 6000, 10)
-        found = fit(cells([dataclasses.replace(some, wrench=felt)], 1.0), PRIOR)
+        found = fit(tiled(dataclasses.replace(some, wrench=felt)), PRIOR)
         error = np.abs(found.estimate.gain - gain)
         inside += int((error < 3 * found.estimate.standard_error).sum())
         entries += 36
@@ -103,7 +101,7 @@ def test_errors_that_follow_the_motion_widen_the_error_bars() -> None:
             some = samples(gain, rng, count=6000, noise=1e-4, seconds=60.0)
             # the model is wrong by up to 2 % for stretches of 2 s
             wrong = np.repeat(rng.normal(size=(30, 6)) * 0.02, 200, axis=0)
-            tiles = cells([dataclasses.replace(some, wrench=some.wrench * (1 + wrong))], 1.0)
+            tiles = tiled(dataclasses.replace(some, wrench=some.wrench * (1 + wrong)))
             problem = ScaledProblem.of(pooled(tiles), PRIOR)
             noise = measured_noise(tiles, problem, FitOptions())
             kappa = np.full(6, 0.03)
@@ -121,7 +119,7 @@ def test_a_bent_sensor_gets_a_wide_prior_and_a_true_one_a_tight() -> None:
     rng = np.random.default_rng(3)
     kappas = []
     for gain in (PRIOR.gain, bent(PRIOR, rng, kappa=0.1)):
-        tiles = cells([samples(gain, rng, count=200, noise=3e-3, share=0.02)], 1.0)
+        tiles = tiled(samples(gain, rng, count=200, noise=3e-3, share=0.02))
         noise = Noise(3e-3 * FULL_SCALE, np.ones(6))
         kappas.append(choose_kappa(tiles, PRIOR, noise, np.eye(6)).chosen)
     assert kappas[0] < 0.01 < kappas[1]
@@ -131,11 +129,11 @@ def test_noise_free_data_recover_the_gain() -> None:
     rng = np.random.default_rng(4)
     gain = bent(PRIOR, rng)
     several = [samples(gain, rng, offset=o, noise=0.0) for o in (-0.3, 0.2)]
-    tiles = cells(several, 1.0)
+    tiles = tiled(*several)
     found = fit(tiles, PRIOR, FitOptions(penalty=0.0))
     scaled = (found.estimate.gain - gain) / np.abs(gain).max()
     np.testing.assert_allclose(scaled, 0.0, atol=1e-9)
-    offsets = segment_offsets(tiles, found.estimate, found.noise)
+    offsets = segment_offsets(tiles.segments, found.estimate, found.noise)
     for offset, true in zip(offsets, (-0.3, 0.2), strict=True):
         np.testing.assert_allclose(offset.offset / FULL_SCALE, true, atol=1e-8)
 
@@ -145,11 +143,11 @@ def test_an_offset_taken_off_beforehand_is_not_fitted_again() -> None:
     gain = bent(PRIOR, rng)
     some = samples(gain, rng, offset=0.4, noise=0.0)
     raw = np.linalg.solve(gain, -0.4 * FULL_SCALE)
-    tiles = cells([dataclasses.replace(some, channels=some.channels - raw)], 1.0)
+    tiles = tiled(dataclasses.replace(some, channels=some.channels - raw))
     found = fit(tiles, PRIOR, FitOptions(penalty=0.0), about_zero)
     np.testing.assert_allclose(found.estimate.gain, gain, atol=1e-9 * np.abs(gain).max())
 
 
 def test_nothing_to_train_on_is_refused() -> None:
     with pytest.raises(DataError, match="no usable sample"):
-        fit((), PRIOR)
+        fit(cells(()), PRIOR)

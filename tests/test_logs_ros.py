@@ -474,6 +474,15 @@ def test_reading_at_once_equals_rosbags_bit_for_bit(data: st.DataObject, ros1: b
     assert again == slow
 
 
+def test_what_lies_in_the_padding_does_not_matter() -> None:
+    clean = [joint_state(START + n, {"a": n, "b": -n}) for n in range(3)]
+    behind_a = clean[1].index(b"a\0") + 2  # the count of the next name begins two bytes later
+    messages = [clean[0], clean[1][:behind_a] + b"\x55\xaa" + clean[1][behind_a + 2 :], clean[2]]
+    same = batch(topic(JOINTS), messages, range(3))
+    (piece,) = Decoder(same.topic, KINDS[ros2(JOINTS)], "test").pieces(same)
+    assert piece.values.tolist() == [[0, 0], [1, -1], [2, -2]]
+
+
 def test_sensors_that_share_a_topic_are_told_apart_by_their_frames(tmp_path: Path) -> None:
     rows: list[Message] = [
         ("/ft", WRENCH, START + n, wrench(START + n // 2, [n] * 6, frame="lr"[n % 2]))
@@ -726,6 +735,45 @@ def test_mcap_ros2_decodes_what_is_written(tmp_path: Path) -> None:
     np.testing.assert_array_equal(numbers, force.values)
     names = [m.name for _, m in found["/arm"]]  # type: ignore[attr-defined]
     assert names[0] == ["a", "b", "c"]
+
+
+def test_files_of_several_chunks_are_whole_to_the_libraries(tmp_path: Path) -> None:
+    from mcap.reader import make_reader
+    from mcap.records import Message as Record
+    from mcap.stream_reader import StreamReader
+    from rosbags.highlevel import AnyReader
+
+    file, recording = tmp_path / "take.mcap", take(rows=9000)
+    mcap_writer.write(recording, file)
+    logged = {s.name: s.stamps.tolist() for role in ("joints", "channels", "temperatures", "imus")
+              for s in getattr(recording, role)}  # fmt: skip
+    with file.open("rb") as stream:
+        reader = make_reader(stream, validate_crcs=True)
+        summary = reader.get_summary()
+        assert summary is not None
+        assert summary.statistics is not None
+        assert summary.statistics.chunk_count == len(summary.chunk_indexes) > 2
+        names = {number: c.topic for number, c in summary.channels.items()}
+        counts = summary.statistics.channel_message_counts
+        assert {names[c]: count for c, count in counts.items()} == {
+            name: len(stamps) for name, stamps in logged.items()
+        }
+        span = summary.statistics.message_start_time, summary.statistics.message_end_time
+        every = sorted(stamp for stamps in logged.values() for stamp in stamps)
+        assert span == (every[0], every[-1])
+        found: dict[str, list[int]] = {}
+        for _, channel, message in reader.iter_messages():  # by the indexes
+            found.setdefault(channel.topic, []).append(message.log_time)
+        assert found == logged
+    with file.open("rb") as stream:
+        records = StreamReader(stream, validate_crcs=True).records  # from end to end
+        assert [r.log_time for r in records if isinstance(r, Record)] == every
+    with AnyReader([file]) as bag:
+        forces = [
+            bag.deserialize(raw, c.msgtype).wrench.torque.z  # type: ignore[attr-defined]
+            for c, _, raw in bag.messages() if c.topic == "/ft"
+        ]  # fmt: skip
+    assert forces == recording.channels[0].values[:, 5].tolist()
 
 
 def test_standard_deviations_have_a_topic_of_their_own(tmp_path: Path) -> None:

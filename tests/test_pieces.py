@@ -19,9 +19,10 @@ from ftcal import logs
 from ftcal.errors import DataError, LogError
 from ftcal.logs import tables_batches, tables_pieces
 from ftcal.logs.layout import Layout, TimeUnit
-from ftcal.logs.pieces import ROLES, Piece, Pieces, WholeLog, cut, joined, median_period
+from ftcal.logs.pieces import ROLES, Pieces, WholeLog, cut, joined, median_period, signal_between
 from ftcal.logs.tables_pieces import TablePieces
-from ftcal.recording import NANOSECONDS, Recording
+from ftcal.recording import NANOSECONDS, Signal
+from piecewise import assert_same, put_together
 
 if TYPE_CHECKING:
     from jaxtyping import Int
@@ -72,32 +73,6 @@ def in_batches(path: Path, layout: Layout = LAYOUT) -> TablePieces:
     return opened
 
 
-def put_together(pieces: Sequence[Piece]) -> Recording:
-    def all_of(role: str) -> tuple[object, ...]:
-        parts = [getattr(piece.own, role) for piece in pieces]
-        return tuple(joined(same) for same in zip(*parts, strict=True))
-
-    first = pieces[0].recording
-    roles = {role: all_of(role) for role in ROLES}
-    return Recording(
-        first.name, first.source, first.start, findings=first.findings, digest=first.digest,
-        **roles,  # type: ignore[arg-type]
-    )  # fmt: skip
-
-
-def assert_same(found: Recording, expected: Recording) -> None:
-    for field in ("name", "source", "start", "findings", "digest"):
-        assert getattr(found, field) == getattr(expected, field)
-    for role in ROLES:
-        pairs = zip(getattr(found, role), getattr(expected, role), strict=True)
-        for ours, theirs in pairs:
-            assert (ours.name, ours.columns, ours.breaks) == (
-                theirs.name, theirs.columns, theirs.breaks,
-            )  # fmt: skip
-            np.testing.assert_array_equal(ours.stamps, theirs.stamps)
-            assert ours.values.tobytes() == theirs.values.tobytes()
-
-
 clocks = st.lists(st.integers(0, 3), min_size=1, max_size=60).map(
     lambda steps: [int(stamp) * STEP for stamp in np.cumsum(steps)]
 )
@@ -143,6 +118,18 @@ def test_tables_with_clocks_of_their_own_are_cut_at_common_times(
         assert all(len(s) <= rows for role in ROLES for s in getattr(piece.own, role))
         margin = overlap * STEP
         assert_same(piece.recording, cut(whole, piece.start - margin, piece.stop + margin))
+
+
+@given(breaks=st.sets(st.integers(1, 19)), cuts=st.sets(st.integers(0, 20)))
+def test_a_signal_that_is_cut_and_joined_keeps_its_sessions(
+    breaks: set[int], cuts: set[int]
+) -> None:
+    values = np.arange(40.0).reshape(20, 2)
+    whole = Signal("leg", ("a", "b"), np.arange(20), values, tuple(sorted(breaks)))
+    edges = [-1, *sorted(cuts), 21]
+    parts = [signal_between(whole, start, stop) for start, stop in pairwise(edges)]
+    assert joined(parts).breaks == whole.breaks
+    assert all(bool(p.breaks[:1] == (0,)) == (p.stamps[0] in breaks) for p in parts if len(p))
 
 
 @pytest.mark.usefixtures("small")
@@ -313,13 +300,12 @@ def test_a_period_is_that_of_the_whole_signal(tmp_path: Path) -> None:
         opened.period("temperatures", "bord")
 
 
-def test_a_log_of_another_format_is_one_piece(tmp_path: Path) -> None:
-    folder = tmp_path / "icub" / "left_leg" / "analog:o"
-    folder.mkdir(parents=True)
-    lines = [f"{n} {1700000000 + n / 100:.6f} 1 2 3 4 5 6\n" for n in range(20)]
-    (folder / "data.log").write_text("".join(lines))
-    (piece,) = logs.in_pieces(tmp_path).pieces(rows=3)
-    assert_same(piece.own, logs.read(tmp_path))
+def test_a_log_of_another_format_is_read_as_a_whole(tmp_path: Path) -> None:
+    file = tmp_path / "log.npz"
+    np.savez(file, time=np.arange(20) / 100, leg=np.arange(120.0).reshape(20, 6))
+    opened = logs.in_pieces(file)
+    assert isinstance(opened, WholeLog)
+    assert_same(put_together(list(opened.pieces(rows=3))), logs.read(file))
 
 
 @pytest.mark.parametrize("suffix", [".csv", ".parquet"])

@@ -26,7 +26,8 @@ from ftcal.fit import FitOptions, fit
 from ftcal.folds import cells
 from ftcal.moments import within
 from ftcal.one_sensor import SensorOutcome, deployed, validate_by_folds
-from ftcal.pairing import FtChannel, Paired
+from ftcal.paired import Paired
+from ftcal.pairing import FtChannel
 from ftcal.pipeline import Outcome
 from ftcal.plots.figure import plain, shortened, thinned, with_holes
 from ftcal.progress import Steps, silent

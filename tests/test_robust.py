@@ -14,13 +14,13 @@ from ftcal.balances import Balance
 from ftcal.config import FitSection, read_job
 from ftcal.errors import JobError
 from ftcal.fit import FitOptions, fit
-from ftcal.folds import cells
+from ftcal.folds import pooled
 from ftcal.ridge import scaling_map
 from ftcal.robust import FEWEST, huber_weights
 from ftcal.samples import Samples
 from ftcal.terms import Terms, Weights, summed
 from ftcal.whole_body import fit_all, robust_weights
-from pretend import FULL_SCALE, bent, samples, workbench
+from pretend import FULL_SCALE, bent, samples, tiled, workbench
 from test_whole_body import ALWAYS, EXACT, SPANS, frames_of, raw_balances, world
 
 PRIOR = workbench()
@@ -81,7 +81,7 @@ def test_a_hand_on_the_robot_moves_a_robust_fit_less(seed: int) -> None:
     truth = bent(PRIOR, rng)
     good = samples(truth, rng, count=3000, seconds=60.0, share=0.02)
     pushed = knocked(good, (11.0, 35.0), 0.02 * FULL_SCALE * rng.normal(size=6))
-    tiles = cells([pushed], 1.0)
+    tiles = tiled(pushed)
     plain, robust = (fit(tiles, PRIOR, FitOptions(robust=r)) for r in (False, True))
     assert plain.down_weighted == 0.0
     # four seconds of sixty, and the cells that their edges share
@@ -92,7 +92,7 @@ def test_a_hand_on_the_robot_moves_a_robust_fit_less(seed: int) -> None:
 def test_good_data_are_fitted_alike() -> None:
     rng = np.random.default_rng(9)
     truth = bent(PRIOR, rng)
-    tiles = cells([samples(truth, rng, count=3000, seconds=60.0)], 1.0)
+    tiles = tiled(samples(truth, rng, count=3000, seconds=60.0))
     plain, robust = (fit(tiles, PRIOR, FitOptions(robust=r)) for r in (False, True))
     assert robust.down_weighted < 0.05
     sd = np.sqrt(np.einsum("ijj->ij", plain.estimate.covariance))
@@ -102,10 +102,18 @@ def test_good_data_are_fitted_alike() -> None:
 
 def test_weights_of_cells_count_as_samples_do() -> None:
     rng = np.random.default_rng(2)
-    (cell,) = cells([samples(PRIOR.gain, rng, count=100, seconds=1.0)], 1.0)
-    half = cell.reweighted(0.5)
-    assert half.moments.count == 50.0
-    np.testing.assert_allclose(half.reweighted(1.0).moments.scatter, cell.moments.scatter)
+    some = samples(PRIOR.gain, rng, count=400, seconds=4.0)
+    tiles = tiled(some)
+    weights = np.array([1.0, 0.5, 0.25, 1.0])
+    rows, each = some.rows(), np.repeat(weights, 100)
+    mean = np.average(rows, axis=0, weights=each)
+    found = pooled(tiles.weighing(weights))
+    assert found.count == each.sum()
+    np.testing.assert_allclose(found.mean, mean)
+    scatter = (rows - mean).T @ (each[:, None] * (rows - mean))
+    sizes = np.sqrt(np.outer(np.diag(scatter), np.diag(scatter)))
+    np.testing.assert_allclose(found.scatter / sizes, scatter / sizes, atol=1e-12)
+    assert tiles.weighing(weights).down_weighted == 200
 
 
 def test_whole_body_weights_find_the_seconds_in_which_the_left_foot_was_held() -> None:

@@ -19,7 +19,8 @@ from ftcal.fit import FitOptions, fit
 from ftcal.folds import cells
 from ftcal.motion import FixedContact
 from ftcal.motions import Pace, grid
-from ftcal.pairing import FtChannel, SignalOptions, pair
+from ftcal.paired import pair
+from ftcal.pairing import FtChannel, SignalOptions
 from ftcal.recording import Recording
 from ftcal.robot import Robot
 from ftcal.scenario import Scenario, read_scenario

@@ -18,14 +18,14 @@ import pytest
 from ftcal.all_sensors import calibrate_all
 from ftcal.applying import wrench_sd
 from ftcal.config import Job, read_job
-from ftcal.folds import cells, pooled
+from ftcal.folds import pooled
 from ftcal.noise import Noise
 from ftcal.pairing import FtChannel
 from ftcal.progress import Steps, silent
 from ftcal.ridge import ScaledProblem
 from ftcal.sandwich import drawn, robust_posterior
 from ftcal.whole_pipeline import result_record
-from pretend import FULL_SCALE, bent, samples, workbench
+from pretend import FULL_SCALE, bent, samples, tiled, workbench
 from study_world import LEGS, ideal, moved, schedule, signal
 from walker import SENSORS, walker
 
@@ -59,7 +59,7 @@ def one_lazy_channel(rng: np.random.Generator, noise: float) -> tuple[ScaledProb
     still = y @ np.linalg.inv(PRIOR.scaling).T
     read = still + noise * rng.normal(size=y.shape) @ np.linalg.inv(PRIOR.scaling).T
     wrench = (still - still.mean(axis=0)) @ gain.T
-    tiles = cells([replace(some, channels=read, wrench=wrench)], 1.0)
+    tiles = tiled(replace(some, channels=read, wrench=wrench))
     return ScaledProblem.of(pooled(tiles), PRIOR), tiles, gain
 
 
@@ -85,9 +85,7 @@ def test_what_is_left_over_tells_how_far_noise_of_the_channels_draws_a_gain() ->
 def test_nothing_left_over_draws_nothing() -> None:
     rng = np.random.default_rng(2)
     gain = bent(PRIOR, rng)
-    problem = ScaledProblem.of(
-        pooled(cells([samples(gain, rng, count=600, noise=0.0)], 1.0)), PRIOR
-    )
+    problem = ScaledProblem.of(pooled(tiled(samples(gain, rng, count=600, noise=0.0))), PRIOR)
     pulled = np.linalg.solve(problem.S_yy, drawn(problem, entries(gain)).T)
     # entries of E are 0.03
     assert abs(pulled).max() < 1e-12

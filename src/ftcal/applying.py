@@ -26,9 +26,9 @@ import numpy as np
 from ftcal.calibration import Calibration, Centre, Offset, SensorCalibration
 from ftcal.errors import DataError, OutputError, unknown
 from ftcal.logs.pieces import Pieces
-from ftcal.recording import NANOSECONDS, Recording, Signal
+from ftcal.recording import Recording, Signal
 from ftcal.sensor import AXES
-from ftcal.signals import default_gap, longest_pause
+from ftcal.signals import default_gap, longest_pause, temperature_at
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Int
@@ -186,29 +186,6 @@ def inputs(
 def channels_of_logged(sensor: SensorCalibration) -> Float[Array, "K K"]:
     """Return the matrix that makes raw channels of what a log carries: the identity, or C_w^-1."""
     return sensor.workbench().channels(np.eye(len(sensor.gain[0]))).T
-
-
-def temperature_at(thermometer: Signal, clock: Int[Array, "N"], gap: float) -> Float[Array, "N"]:
-    """Return the temperature on the stamps `clock` [ns]; NaN in holes and outside.
-
-    As `signals.interpolate`, but the two samples about a stamp alone decide, to the last bit: it
-    counts time from the first sample of a run, which a piece does not know.
-    """
-    stamps, values = thermometer.stamps, thermometer.values[:, 0]
-    if not len(stamps):
-        return np.full(len(clock), np.nan)
-    # whether a sample continues the one before it; none before the first, none after the last
-    linked = np.zeros(len(stamps) + 1, dtype=bool)
-    linked[1:-1] = np.diff(stamps) <= round(gap * NANOSECONDS)
-    linked[list(thermometer.breaks)] = False
-    before = np.searchsorted(stamps, clock, side="right") - 1
-    row = np.maximum(before, 0)
-    following = np.minimum(row + 1, len(stamps) - 1)
-    sampled = stamps[row] == clock
-    share = (clock - stamps[row]) / np.maximum(stamps[following] - stamps[row], 1)
-    between = values[row] + share * (values[following] - values[row])
-    supported = (before >= 0) & (linked[row + 1] | (sampled & linked[row]))
-    return np.where(supported, between, np.nan)
 
 
 def with_sd(

@@ -30,7 +30,8 @@ from ftcal.errors import DataError, RobotError
 from ftcal.moments import Moments
 from ftcal.motion import STANDARD_GRAVITY
 from ftcal.noise import inefficiency
-from ftcal.pairing import FtChannel, SignalOptions, matched_channels, pair
+from ftcal.paired import pair
+from ftcal.pairing import FtChannel, SignalOptions, matched_channels
 from ftcal.recording import NANOSECONDS, Finding, Recording, Signal
 from ftcal.ridge import ridge_path
 from ftcal.robot import Robot

@@ -25,7 +25,6 @@ from ftcal.calibration import (
 )
 from ftcal.config import Job
 from ftcal.fit import segment_offsets
-from ftcal.folds import cells, segment_moments
 from ftcal.moments import Moments
 from ftcal.noise import Noise
 from ftcal.one_sensor import SensorOutcome
@@ -41,8 +40,7 @@ def sensor_calibration(job: Job, outcome: SensorOutcome) -> SensorCalibration:
     """Return the part of `calibration.json` for one sensor."""
     channel, ft, found = outcome.channel, outcome.sensor, outcome.fit
     strength = found.penalty if found.kappa is None else float(found.kappa[0])
-    # an offset needs the moments of whole segments
-    tiles = cells((*outcome.training, *outcome.test), np.inf)
+    segments = (*outcome.training, *outcome.test)
     return sensor_record(
         channel,
         ft,
@@ -51,17 +49,15 @@ def sensor_calibration(job: Job, outcome: SensorOutcome) -> SensorCalibration:
         reference_temperature=outcome.reference_temperature,
         offsets=[
             Offset(
-                recording=segment.recording,
-                start=segment.start,
-                stop=segment.stop,
-                offset=segment.offset.tolist(),
-                sd=segment.sd.tolist(),
-                centre=centre(moments, outcome.estimate, found.noise),
+                recording=known.recording,
+                start=known.start,
+                stop=known.stop,
+                offset=known.offset.tolist(),
+                sd=known.sd.tolist(),
+                centre=centre(segment.moments(), outcome.estimate, found.noise),
             )
-            for segment, moments in zip(
-                segment_offsets(tiles, outcome.estimate, found.noise),
-                segment_moments(tiles),
-                strict=True,
+            for segment, known in zip(
+                segments, segment_offsets(segments, outcome.estimate, found.noise), strict=True
             )
         ],
         envelope=outcome.envelope,

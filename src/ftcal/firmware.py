@@ -8,14 +8,15 @@ multiple of full scale / 32768: a log says which file was in the sensor.
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ftcal.errors import SensorError, raise_all
+from ftcal.lattice import LARGEST, STEPS, Fit, Readings
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Int
@@ -24,23 +25,11 @@ if TYPE_CHECKING:
 COUNTS = 32767
 """Largest raw reading; a full row of words at full reading gives the full scale."""
 
-ONE = 32768
+ONE = STEPS
 """The word of 1.0 in Q1.15, the first that does not fit."""
 
 WORST_CONDITION = 1e8
 """A matrix beyond it maps some wrench to less than a count (that of SN026 is 90)."""
-
-TEXT_ROUNDING = 5e-7
-"""Logs print six decimals [N, Nm]."""
-
-ON_LATTICE = 0.02
-"""Mean distance to the lattice, in steps, that still counts as on it (chance gives 0.25)."""
-
-ENOUGH = 10
-"""Distinct values an axis must show: ten chance ones lie on a lattice once in a million cases."""
-
-Fit = Literal["fits", "off", "undecided"]
-"""Whether values lie on a lattice; undecided where they are too few or the lattice too fine."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -169,75 +158,30 @@ def _refuse_singular(words: Int[Array, "6 6"], where: str) -> None:
 def lattice_error(values: Float[Array, "N 6"], full_scale: Float[Array, "6"]) -> Float[Array, "6"]:
     """Return the mean distance of each axis to multiples of full scale / 32768, in such steps.
 
-    Near 0 on the lattice, 0.25 by chance. Each distinct value counts once: a frozen sensor
-    repeats one; zero lies on every lattice and does not count. NaN where no value is left.
+    Near 0 on the lattice, 0.25 by chance, NaN where no value but zero is left.
     """
-    return _distance(_distinct(values), full_scale)
+    return _readings(values).error(full_scale)
 
 
 def lattice_fit(values: Float[Array, "N 6"], full_scale: Float[Array, "6"]) -> Fit:
-    """Return whether all six axes lie on the lattice of `full_scale`.
-
-    Undecided where an axis shows fewer than ten distinct values, or text of six decimals cannot
-    show its lattice.
-    """
-    return _fit(_distinct(values), full_scale)
+    """Return whether all six axes lie on the lattice of `full_scale`, as `Readings.fit` tells."""
+    return _readings(values).fit(full_scale)
 
 
 def identify(
     values: Float[Array, "N 6"], matrices: Mapping[str, FirmwareMatrix]
 ) -> tuple[str, ...]:
     """Return the names of those `matrices` whose full scales fit all six axes of a log."""
-    found = _distinct(values)
-    return tuple(
-        name for name, matrix in matrices.items() if _fit(found, matrix.full_scale) == "fits"
-    )
+    return _readings(values).fitting({name: m.full_scale for name, m in matrices.items()})
 
 
-def estimate_full_scale(values: Float[Array, "N 6"], *, largest: int = 5000) -> Int[Array, "6"]:
+def estimate_full_scale(values: Float[Array, "N 6"], *, largest: int = LARGEST) -> Int[Array, "6"]:
     """Return the whole full scale whose lattice each axis shows, 0 where none does.
 
-    Every divisor of it fits as well, so the largest that fits is meant. An axis whose readings
-    are all even (fy of the iCubGenova02 left arm) shows twice its full scale.
+    Of those that fit the largest, as `Readings.full_scale` has it.
     """
-    found = np.zeros(6, dtype=np.int64)
-    smallest = int(TEXT_ROUNDING / ON_LATTICE * ONE) + 1
-    candidates = np.arange(smallest, largest + 1)
-    for axis, distinct in enumerate(_distinct(values)):
-        if distinct.size < 3 * ENOUGH:  # thousands of candidates: chance needs more to be ruled out
-            continue
-        spread = distinct[:: max(1, distinct.size // 200)]
-        steps = spread[:, None] * (ONE / candidates)
-        error = np.mean(np.abs(steps - np.rint(steps)), axis=0)
-        fits = candidates[error < ON_LATTICE]
-        found[axis] = fits.max(initial=0)
-    return found
+    return _readings(values).full_scale(largest=largest)
 
 
-def _distinct(values: Float[Array, "N 6"]) -> list[Float[Array, "D"]]:
-    columns = np.asarray(values, dtype=np.float64).T
-    found = [np.unique(column[np.isfinite(column)]) for column in columns]
-    return [distinct[distinct != 0.0] for distinct in found]
-
-
-def _distance(
-    found: Sequence[Float[Array, "D"]], full_scale: Float[Array, "6"]
-) -> Float[Array, "6"]:
-    """Return `lattice_error` of the distinct values of each axis."""
-    step = np.asarray(full_scale, dtype=np.float64) / ONE
-    error = np.full(6, np.nan)
-    for axis, distinct in enumerate(found):
-        if distinct.size:
-            steps = distinct / step[axis]
-            error[axis] = np.mean(np.abs(steps - np.rint(steps)))
-    return error
-
-
-def _fit(found: Sequence[Float[Array, "D"]], full_scale: Float[Array, "6"]) -> Fit:
-    """Return `lattice_fit` of the distinct values of each axis."""
-    enough = np.array([distinct.size >= ENOUGH for distinct in found])
-    enough &= np.asarray(full_scale, dtype=np.float64) / ONE * ON_LATTICE > TEXT_ROUNDING
-    error = _distance(found, full_scale)
-    if (error[enough] > ON_LATTICE).any():
-        return "off"
-    return "fits" if enough.all() else "undecided"
+def _readings(values: Float[Array, "N 6"]) -> Readings:
+    return Readings.of(np.asarray(values, dtype=np.float64).T)

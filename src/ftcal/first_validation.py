@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
+from ftcal.bootstrap import BLOCK
 from ftcal.errors import DataError
 from ftcal.folds import about_zero
 from ftcal.moments import Moments, within
@@ -25,12 +26,11 @@ from ftcal.ridge import Estimate, penalty_path
 from ftcal.samples import sample_count
 from ftcal.sensor import AXES, Workbench
 from ftcal.validate import (
-    BLOCK,
     GROUPS,
     Envelope,
     HeldOut,
     Scores,
-    held_out,
+    held_out_samples,
     load_envelope,
     score,
 )
@@ -196,7 +196,9 @@ def first_validation(
     for k, estimate in enumerate(estimates):
         pieces.append([])
         for j, take in enumerate(takes.values()):
-            some_read = [held_out(s, estimate.coefficients, workbench) for s in take.segments]
+            some_read = [
+                held_out_samples(s, estimate.coefficients, workbench) for s in take.segments
+            ]
             pieces[k].append(some_read)
             error = np.concatenate([piece.in_situ - piece.model for piece in some_read])
             absolute[k, j], rms[k, j] = norms(error)

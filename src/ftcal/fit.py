@@ -16,7 +16,7 @@ import numpy as np
 from ftcal.errors import DataError
 from ftcal.excitation import Excitation, excitation
 from ftcal.folds import (
-    Cell,
+    Cells,
     Pool,
     aligned,
     aligned_means,
@@ -25,10 +25,11 @@ from ftcal.folds import (
     pooled,
     reweighted,
 )
-from ftcal.moments import total, within
+from ftcal.moments import within
 from ftcal.noise import Noise, inefficiency
 from ftcal.ridge import Estimate, ScaledProblem, penalty_path
 from ftcal.sandwich import robust_posterior
+from ftcal.segments import Segment
 from ftcal.sensor import Workbench
 
 if TYPE_CHECKING:
@@ -127,7 +128,7 @@ class Fit:
 
 
 def fit(
-    cells: Sequence[Cell],
+    cells: Cells,
     workbench: Workbench,
     options: FitOptions | None = None,
     pool: Pool = within,
@@ -137,7 +138,7 @@ def fit(
     Raises `DataError` where there is nothing to fit.
     """
     options = options or FitOptions()
-    if not cells:
+    if not len(cells):
         raise DataError("no usable sample is left to train on; see the data-health findings")
     found = _fit(cells, workbench, options, pool)
     if not options.robust or found.kappa is None:
@@ -151,7 +152,7 @@ def fit(
     return replace(robust, choice=found.choice)
 
 
-def _fit(cells: Sequence[Cell], workbench: Workbench, options: FitOptions, pool: Pool) -> Fit:
+def _fit(cells: Cells, workbench: Workbench, options: FitOptions, pool: Pool) -> Fit:
     """Return the fit of cells that count as they do."""
     moments = pooled(cells, pool)
     problem = ScaledProblem.of(moments, workbench)
@@ -169,19 +170,17 @@ def _fit(cells: Sequence[Cell], workbench: Workbench, options: FitOptions, pool:
         kappa = np.full(6, options.kappa if choice is None else choice.chosen)
         estimate = robust_posterior(problem.along(directions), cells, kappa, noise)
     seen = excitation(problem, noise, kappa)
-    samples = sum(len(cell.samples) for cell in cells)
-    less = sum(len(cell.samples) for cell in cells if cell.weight < 1.0)
-    return Fit(estimate, noise, seen, kappa, options.penalty, choice, samples, less / samples)
+    less = cells.down_weighted / cells.samples
+    return Fit(estimate, noise, seen, kappa, options.penalty, choice, cells.samples, less)
 
 
-def measured_noise(cells: Sequence[Cell], problem: ScaledProblem, options: FitOptions) -> Noise:
+def measured_noise(cells: Cells, problem: ScaledProblem, options: FitOptions) -> Noise:
     """Return the residual of a weakly held fit: its size and its statistical inefficiency.
 
     The size counts the parameters that the fit spent (an offset a segment, the data's share of
     every direction); it comes from the moments, only the inefficiency of short data needs the
     samples. What the options give is taken as given.
     """
-    groups = by_segment(cells)
     least = 1e-12 * problem.workbench.full_scale
     count = max(problem.moments.count, 1)
     d = np.maximum(np.linalg.eigvalsh(problem.S_yy), 0.0)
@@ -191,40 +190,39 @@ def measured_noise(cells: Sequence[Cell], problem: ScaledProblem, options: FitOp
         sd = np.maximum(np.sqrt(problem.squared_error(E) / count), least)
         E = problem.path(kappas, Noise(sd, np.ones(6)))[0]
     sd = np.maximum(np.sqrt(problem.squared_error(E) / count), least)
-    repeat = repetition(groups, problem.coefficients(E))
+    repeat = repetition(cells, problem.coefficients(E))
     if options.samples_per_independent is not None:
         repeat = np.full(6, options.samples_per_independent)
     if options.noise is not None:
         return Noise(np.asarray(options.noise, dtype=np.float64), repeat)
     held = problem.penalties(kappas, Noise(sd, repeat))[0]
-    spent = (d / (d + held[:, None])).sum(axis=1) + len(groups)
+    spent = (d / (d + held[:, None])).sum(axis=1) + len(by_segment(cells))
     independent = count / repeat
     left = np.maximum(independent - spent, 0.1 * independent)
     return Noise(sd * np.sqrt(independent / left), repeat)
 
 
-def repetition(groups: Sequence[Sequence[Cell]], gain: Float[Array, "6 P"]) -> Float[Array, "6"]:
-    """Return the statistical inefficiency of `w - gain x` about its mean in every group of cells.
+def repetition(cells: Cells, gain: Float[Array, "6 P"]) -> Float[Array, "6"]:
+    """Return the statistical inefficiency of `w - gain x` about its mean in every segment.
 
-    Of more than `MANY` samples it follows from the means of cells: those of m samples have the
-    variance `s_m^2` where single samples have `s^2`, and `g = m g_m s_m^2 / s^2` (H. Flyvbjerg,
-    H. G. Petersen, "Error estimates on averages of correlated data", 1989).
+    Where samples are more than `MANY`, or not all are kept, it follows from the means of cells:
+    those of m samples have the variance `s_m^2` where single samples have `s^2`, and
+    `g = m g_m s_m^2 / s^2` (H. Flyvbjerg, H. G. Petersen, "Error estimates on averages of
+    correlated data", 1989).
     """
-    samples = sum(len(cell.samples) for group in groups for cell in group)
-    if samples <= MANY:
-        return inefficiency(aligned(groups, gain))
-    means = aligned_means(groups, gain)
-    cells = sum(map(len, means))
+    samples = cells.samples
+    if samples <= MANY and cells.whole:
+        return inefficiency(aligned(cells, gain))
+    means = aligned_means(cells, gain)
     to_residual = np.hstack([-gain, np.eye(6)])
-    scatter = [total([cell.moments for cell in group]).map(to_residual).scatter for group in groups]
-    squares = np.diagonal(np.sum(scatter, axis=0)) / samples
-    of_means = np.sum([np.sum(part**2, axis=0) for part in means], axis=0) / cells
+    squares = np.diagonal(pooled(cells).map(to_residual).scatter) / samples
+    of_means = np.sum([np.sum(part**2, axis=0) for part in means], axis=0) / len(cells)
     share = np.divide(of_means, squares, out=np.zeros(6), where=squares > 0)
-    return np.asarray(np.maximum(samples / cells * inefficiency(means) * share, 1.0))
+    return np.asarray(np.maximum(samples / len(cells) * inefficiency(means) * share, 1.0))
 
 
 def choose_kappa(
-    cells: Sequence[Cell],
+    cells: Cells,
     workbench: Workbench,
     noise: Noise,
     directions: Float[Array, "M P"],
@@ -263,17 +261,17 @@ def choose_kappa(
 
 
 def segment_offsets(
-    cells: Sequence[Cell], estimate: Estimate, noise: Noise
+    segments: Sequence[Segment], estimate: Estimate, noise: Noise
 ) -> tuple[SegmentOffset, ...]:
     """Return the offset of every segment under `estimate` (P4)."""
     offsets = []
-    for group in by_segment(cells):
-        moments = total([cell.moments for cell in group])
+    for segment in segments:
+        moments = segment.moments()
         offsets.append(
             SegmentOffset(
-                group[0].samples.recording,
-                group[0].samples.start,
-                group[-1].samples.stop,
+                segment.samples.recording,
+                segment.samples.start,
+                segment.samples.stop,
                 estimate.offset(moments),
                 estimate.offset_error(moments, noise),
             )

@@ -1,31 +1,27 @@
 """Training data in cells of about a second, and the folds that blocked cross-validation cuts.
 
 A fold holds out neighbouring cells as one block in time; the cells beside the block are left out
-of training too, because a smoothed sample knows its neighbours. Moments are taken once per cell:
-every fold, every penalty is then small algebra.
+of training too, because a smoothed sample knows its neighbours. Moments are taken once per cell,
+and summed once up to every cell: what any run of cells adds up to is the difference of two sums,
+so that folds, and folds inside folds, cost next to nothing.
 """
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from operator import attrgetter
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ftcal.errors import DataError
-from ftcal.moments import Moments, total, within
+from ftcal.moments import Moments, Stacked, total, within
 from ftcal.robust import huber_weights
-from ftcal.samples import Samples
+from ftcal.segments import MOST_CELLS, Segment, covered
 
 if TYPE_CHECKING:
-    from jaxtyping import Float
+    from jaxtyping import Bool, Float, Int
     from numpy import ndarray as Array
-
-MOST_CELLS = 2000
-"""More cells tell neither folds nor error bars any better: of hours of data they get longer."""
 
 Pool = Callable[[Sequence[Moments]], Moments]
 """How the moments of offset segments are pooled, which is how their offsets are modelled."""
@@ -37,71 +33,170 @@ def about_zero(parts: Sequence[Moments]) -> Moments:
     return pooled.about(np.zeros_like(pooled.mean))
 
 
-@dataclass(frozen=True, slots=True)
-class Cell:
-    """A short stretch of one offset segment."""
+@dataclass(frozen=True, slots=True, eq=False)
+class Cells:
+    """Cells of some segments, or some of these: the tables are of all B, `chosen` says which."""
 
-    segment: int
-    """Index of the offset segment it belongs to."""
-    index: int
-    """Index of the cell in its segment."""
-    samples: Samples
-    moments: Moments
-    """Of its samples, as often as they count."""
-    weight: float = 1.0
-    """What each of them counts."""
+    segments: tuple[Segment, ...]
+    """What they are cells of."""
+    segment: Int[Array, "B"]
+    """Index of the segment that each belongs to; in order."""
+    index: Int[Array, "B"]
+    """Index of each in its segment."""
+    moments: Stacked
+    """Of `Samples.rows`, every sample counting once."""
+    spans: Float[Array, "B 2"]
+    """Times of the first and the last sample of each [s]."""
+    weight: Float[Array, "B"]
+    """What each of their samples counts."""
+    chosen: Bool[Array, "B"]
+    """Those that are in."""
+    sums: RunningSums
+    """Of all, as often as their samples count."""
 
-    def reweighted(self, weight: float) -> Cell:
-        """Return the cell with samples that count `weight` each."""
-        return replace(self, moments=self.moments.weighted(weight / self.weight), weight=weight)
+    def __len__(self) -> int:
+        return int(np.count_nonzero(self.chosen))
+
+    @property
+    def rows(self) -> Int[Array, "C"]:
+        """Rows of the tables that are in."""
+        return np.flatnonzero(self.chosen)
+
+    @property
+    def whole(self) -> bool:
+        """Whether their segments keep all samples."""
+        return all(self.segments[i].whole for i in np.unique(self.segment[self.chosen]))
+
+    @property
+    def samples(self) -> int:
+        """Number of samples."""
+        return round(float(self.moments.count[self.chosen].sum()))
+
+    @property
+    def down_weighted(self) -> int:
+        """Number of samples that count less than once."""
+        return round(float(self.moments.count[self.chosen & (self.weight < 1.0)].sum()))
+
+    def some(self, chosen: Bool[Array, "B"]) -> Cells:
+        """Return those of all cells that `chosen` says."""
+        return replace(self, chosen=chosen)
+
+    def weighing(self, weight: Float[Array, "B"]) -> Cells:
+        """Return the cells with samples that count `weight` each."""
+        sums = RunningSums.of(self.moments, self.segment, weight)
+        return replace(self, weight=weight, sums=sums)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
+class RunningSums:
+    """What all cells before one add up to: a run of cells is the difference of two."""
+
+    segment: Int[Array, "B"]
+    """That each cell belongs to."""
+    begins: Bool[Array, "B"]
+    """Whether it is the first of its segment."""
+    origin: Float[Array, "S D"]
+    """Mean of each segment: sums are taken about it, as counts ride on large offsets."""
+    table: Float[Array, "B+1 1+D+D*D"]
+    """Sums of count, distance from the origin, and outer product of that distance."""
+
+    @staticmethod
+    def of(moments: Stacked, segment: Int[Array, "B"], weight: Float[Array, "B"]) -> RunningSums:
+        """Return the sums over cells of segments, in order, whose samples count `weight` each."""
+        cells, D = moments.mean.shape
+        begins = np.diff(segment, prepend=-1) > 0
+        starts = np.flatnonzero(begins)
+        count = weight * moments.count
+        # about the mean of a cell first: the others are near it, zero is not
+        origin = moments.mean[starts]
+        apart = moments.mean - origin[segment]
+        if cells:
+            sums = [np.add.reduceat(terms, starts) for terms in (count[:, None] * apart, count)]
+            origin = origin + sums[0] / sums[1][:, None]
+            apart = moments.mean - origin[segment]
+        table = np.zeros((cells + 1, 1 + D + D * D))
+        terms = table[1:]
+        terms[:, 0] = count
+        terms[:, 1 : D + 1] = count[:, None] * apart
+        np.multiply(
+            terms[:, 1 : D + 1, None],
+            apart[:, None, :],
+            out=terms[:, D + 1 :].reshape(cells, D, D),
+        )
+        terms[:, D + 1 :] += weight[:, None] * moments.scatter.reshape(cells, D * D)
+        np.cumsum(terms, axis=0, out=terms)
+        return RunningSums(segment, begins, origin, table)
+
+    def by_segment(self, chosen: Bool[Array, "B"]) -> Stacked:
+        """Return the moments of the chosen cells, put together in every segment."""
+        apart = np.ones(len(chosen) + 1, dtype=bool)
+        np.logical_or(self.begins[1:], chosen[1:] != chosen[:-1], out=apart[1:-1])
+        first = np.flatnonzero(chosen & apart[:-1])
+        last = np.flatnonzero(chosen & apart[1:]) + 1
+        segment = self.segment[first]
+        own = np.flatnonzero(np.diff(segment, prepend=-1))
+        sums = np.add.reduceat(self.table[last] - self.table[first], own)
+        D = self.origin.shape[1]
+        count, step = sums[:, 0], sums[:, 1 : D + 1]
+        mean = step / count[:, None]
+        scatter = sums[:, D + 1 :].reshape(-1, D, D) - step[:, :, None] * mean[:, None, :]
+        return Stacked(count, self.origin[segment[own]] + mean, scatter)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Fold:
     """What is trained on, and the block that is held out."""
 
-    train: tuple[Cell, ...]
-    held: tuple[Cell, ...]
+    train: Cells
+    held: Cells
 
 
-def cells(segments: Sequence[Samples], length: float) -> tuple[Cell, ...]:
-    """Return the non-empty cells of about `length` seconds that tile the segments, in order.
+def cells(segments: Sequence[Segment]) -> Cells:
+    """Return all cells of the segments, in order.
 
-    Of segments that would make more than `MOST_CELLS` of them the cells are longer instead.
+    Of more than `MOST_CELLS` in all, neighbours of a segment are put together.
     """
-    found = []
-    whole = sum(float(segment.time[-1] - segment.time[0]) for segment in segments if len(segment))
-    length = max(length, whole / MOST_CELLS)
-    for number, segment in enumerate(segments):
-        if not len(segment):
-            continue
-        first, last = float(segment.time[0]), float(segment.time[-1])
-        edges = np.linspace(first, last, max(1, round((last - first) / length)) + 1)
-        edges[-1] = np.nextafter(edges[-1], np.inf)
-        pieces = [segment.between(a, b) for a, b in itertools.pairwise(edges)]
-        kept = [piece for piece in pieces if len(piece)]
-        ends = np.cumsum([0, *map(len, kept)])
-        of_each = Moments.of_each(segment.rows(), ends)
-        found += [Cell(number, i, *both) for i, both in enumerate(zip(kept, of_each, strict=True))]
-    return tuple(found)
+    together = max(1, -(-sum(len(one.cells) for one in segments) // MOST_CELLS))
+    moments, spans, counts = [], [], []
+    for one in segments:
+        # what is left at the end goes to the last where it is short of half a cell
+        starts = together * np.arange(max(1, round(len(one.cells) / together)))
+        moments.append(one.cells.merged(starts))
+        spans.append(covered(one.spans, starts))
+        counts.append(len(starts))
+    number = np.repeat(np.arange(len(counts)), counts)
+    weight = np.ones(len(number))
+    stacked = Stacked.joined(moments, 0)
+    return Cells(
+        tuple(segments),
+        number,
+        np.concatenate([np.arange(0), *map(np.arange, counts)]),
+        stacked,
+        np.concatenate([np.zeros((0, 2)), *spans]),
+        weight,
+        np.ones(len(number), dtype=bool),
+        RunningSums.of(stacked, number, weight),
+    )
 
 
-def by_segment(some: Sequence[Cell]) -> list[list[Cell]]:
-    """Return the cells grouped by the offset segment they belong to."""
-    return [list(group) for _, group in itertools.groupby(some, key=attrgetter("segment"))]
+def by_segment(some: Cells) -> list[Int[Array, "C"]]:
+    """Return the rows of the cells that are in, a list for every segment."""
+    rows = some.rows
+    return np.split(rows, np.flatnonzero(np.diff(some.segment[rows])) + 1) if len(rows) else []
 
 
-def segment_moments(some: Sequence[Cell]) -> list[Moments]:
+def segment_moments(some: Cells) -> list[Moments]:
     """Return the moments of every offset segment that the cells are part of."""
-    return [total([cell.moments for cell in group]) for group in by_segment(some)]
+    stacked = some.sums.by_segment(some.chosen)
+    return [stacked.one(i) for i in range(len(stacked))]
 
 
-def pooled(some: Sequence[Cell], pool: Pool = within) -> Moments:
+def pooled(some: Cells, pool: Pool = within) -> Moments:
     """Return the moments of all cells, the offset of each segment modelled as `pool` does."""
     return pool(segment_moments(some))
 
 
-def blocked_folds(some: Sequence[Cell], count: int, guard: int = 1) -> list[Fold]:
+def blocked_folds(some: Cells, count: int, guard: int = 1) -> list[Fold]:
     """Return `count` folds, each holding out one block of neighbouring cells.
 
     `guard` cells on either side of the block, in the same segment, are in neither part. Raises
@@ -112,58 +207,70 @@ def blocked_folds(some: Sequence[Cell], count: int, guard: int = 1) -> list[Fold
             f"{len(some)} cells of training data are too few for {count} folds; record longer, or"
             f" ask for {max(len(some) // 2, 2)} folds"
         )
-    ends = np.cumsum([cell.moments.count for cell in some])
-    block = np.minimum((ends - 1) * count // ends[-1], count - 1)
+    rows = some.rows
+    ends = np.cumsum(some.weight[rows] * some.moments.count[rows])
+    block = np.full(len(some.chosen), -1)
+    block[rows] = np.minimum((ends - 1) * count // ends[-1], count - 1)
     folds = []
     for number in range(count):
-        held = tuple(cell for cell, b in zip(some, block, strict=True) if b == number)
-        near = {(c.segment, c.index + d) for c in held for d in range(-guard, guard + 1)}
-        train = tuple(cell for cell in some if (cell.segment, cell.index) not in near)
-        if held and train:
-            folds.append(Fold(train, held))
+        held = block == number
+        near = held.copy()
+        for away in range(1, guard + 1):
+            same = some.segment[away:] == some.segment[:-away]
+            near[away:] |= held[:-away] & same
+            near[:-away] |= held[away:] & same
+        train = some.chosen & ~near
+        if held.any() and train.any():
+            folds.append(Fold(some.some(train), some.some(held)))
     return folds
 
 
-def aligned(
-    groups: Sequence[Sequence[Cell]], gain: Float[Array, "6 P"]
-) -> list[Float[Array, "N 6"]]:
-    """Return `w - gain x` of every group of cells about its own mean, x = `[channels, dT?]`.
+def aligned(some: Cells, gain: Float[Array, "6 P"]) -> list[Float[Array, "N 6"]]:
+    """Return `w - gain x` in every segment about its own mean, x = `[channels, dT?]`.
 
-    What counts less than once is less: its square counts in full.
+    What counts less than once is less: its square counts in full. The segments must keep all
+    samples (`whole`).
     """
     residuals = []
-    for group in groups:
-        rows = np.concatenate([cell.samples.rows() for cell in group])
-        weight = np.concatenate([np.full((len(cell.samples), 1), cell.weight) for cell in group])
+    for group in by_segment(some):
+        number = int(some.segment[group[0]])
+        mine = some.segment == number
+        counts = some.moments.count[mine].astype(np.int64)
+        keep = np.repeat(some.chosen[mine], counts)
+        weight = np.repeat(some.weight[mine], counts)[keep, None]
+        rows = some.segments[number].samples.rows()[keep]
         residual = rows[:, -6:] - rows[:, :-6] @ gain.T
         mean = (weight * residual).sum(axis=0) / weight.sum()
         residuals.append(np.sqrt(weight) * (residual - mean))
     return residuals
 
 
-def aligned_means(
-    groups: Sequence[Sequence[Cell]], gain: Float[Array, "6 P"]
-) -> list[Float[Array, "B 6"]]:
-    """Return the mean of `w - gain x` over every cell, about the mean of its group, as `aligned`.
+def aligned_means(some: Cells, gain: Float[Array, "6 P"]) -> list[Float[Array, "C 6"]]:
+    """Return the mean of `w - gain x` over every cell, about the mean of its segment, as `aligned`.
 
     It comes from the moments: no sample is looked at.
     """
     residuals = []
-    for group in groups:
-        means = np.array([cell.moments.mean for cell in group])
-        counts = np.array([[cell.moments.count] for cell in group])
-        weight = np.array([[cell.weight] for cell in group])
-        residual = means[:, -6:] - means[:, :-6] @ gain.T
+    for group in by_segment(some):
+        weight = some.weight[group, None]
+        counts = weight * some.moments.count[group, None]
+        residual = mean_residuals(some, group, gain)
         mean = (counts * residual).sum(axis=0) / counts.sum()
         residuals.append(np.sqrt(weight) * (residual - mean))
     return residuals
 
 
-def reweighted(some: Sequence[Cell], gain: Float[Array, "6 P"]) -> tuple[Cell, ...]:
+def mean_residuals(
+    some: Cells, rows: Int[Array, "C"], gain: Float[Array, "6 P"]
+) -> Float[Array, "C 6"]:
+    """Return the mean of `w - gain x` over each of the cells in `rows`."""
+    means = some.moments.mean[rows]
+    return np.asarray(means[:, -6:] - means[:, :-6] @ gain.T)
+
+
+def reweighted(some: Cells, gain: Float[Array, "6 P"]) -> Cells:
     """Return the cells with the weights that their residuals under `gain` call for."""
-    found: list[Cell] = []
+    weight = some.weight.copy()
     for group in by_segment(some):
-        means = np.array([cell.moments.mean for cell in group])
-        weights = huber_weights(means[:, -6:] - means[:, :-6] @ gain.T)
-        found += [cell.reweighted(float(w)) for cell, w in zip(group, weights, strict=True)]
-    return tuple(found)
+        weight[group] = huber_weights(mean_residuals(some, group, gain))
+    return some.weighing(weight)

@@ -296,7 +296,7 @@ def together(one: Prediction) -> HeldOut:
         readings = {name: laws[name].read(inputs) for name, inputs in one.balance.inputs.items()}
         error = one.balance.residual(readings)
         left.append(one.balance.required + error - error.mean(axis=0))
-    return HeldOut(
+    return HeldOut.of_all(
         one.take.recording, float(time[0]), float(time[-1]), time, one.balance.required, *left
     )
 
@@ -319,7 +319,7 @@ def held_out_piece(one: Prediction, sensor: str) -> HeldOut:
         error = readings[sensor] - implied
         errors.append((implied, error - error.mean(axis=0)))
     (model, new), (_, old) = errors
-    return HeldOut(
+    return HeldOut.of_all(
         one.take.recording, float(time[0]), float(time[-1]), time, model, model + old, model + new
     )
 

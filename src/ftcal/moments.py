@@ -116,6 +116,19 @@ class Stacked:
         """Return the moments of one table."""
         return Moments(float(self.count[which]), self.mean[which], self.scatter[which])
 
+    def total(self) -> Moments:
+        """Return the moments of all tables stacked into one; there must be one at least."""
+        count = float(self.count.sum())
+        if count == 0:
+            return self.one(0)
+        # about one of the means: the others are near it, zero is not
+        near = self.mean[int(self.count.argmax())]
+        steps = self.mean - near
+        step = self.count @ steps / count
+        apart = steps - step
+        scatter = self.scatter.sum(axis=0) + apart.T @ (self.count[:, None] * apart)
+        return Moments(count, near + step, scatter)
+
     def merged(self, starts: Int[Array, "G"]) -> Stacked:
         """Return neighbours put together: group g is `starts[g]` to before `starts[g + 1]`."""
         if len(starts) == len(self):
@@ -140,19 +153,16 @@ def _of_pieces(rows: Float[Array, "N D"], edges: Int[Array, "E"]) -> Stacked:
     counts = np.diff(edges)
     inside = rows[edges[0] : edges[-1]]
     starts = edges[:-1] - edges[0]
-    if (counts == counts[0]).all():
-        pieces = inside.reshape(len(counts), counts[0], rows.shape[1])
-        mean = pieces.mean(axis=1)
-        centred = pieces - mean[:, None]
-    else:
-        mean = np.add.reduceat(inside, starts, axis=0) / counts[:, None]
-        which = np.repeat(np.arange(len(counts)), counts)
-        # rows that a shorter piece lacks stay zero, and add nothing
-        centred = np.zeros((len(counts), counts.max(), rows.shape[1]))
-        centred[which, np.arange(len(inside)) - starts[which]] = inside - mean[which]
+    mean = np.add.reduceat(inside, starts, axis=0) / counts[:, None]
+    centred = np.repeat(mean, counts, axis=0)
+    np.subtract(inside, centred, out=centred)
     # a rounded mean leaves a rest of order eps * |mean|: take it out of the scatter as well
-    rest = centred.sum(axis=1) / counts[:, None]
-    scatter = centred.transpose(0, 2, 1) @ centred
+    rest = np.add.reduceat(centred, starts, axis=0) / counts[:, None]
+    scatter = np.empty((len(counts), rows.shape[1], rows.shape[1]))
+    ends = (starts + counts).tolist()
+    for piece, (start, end) in enumerate(zip(starts.tolist(), ends, strict=True)):
+        some = centred[start:end]
+        np.dot(some.T, some, out=scatter[piece])
     scatter -= counts[:, None, None] * (rest[:, :, None] * rest[:, None, :])
     return Stacked(counts.astype(np.float64), mean + rest, scatter)
 
@@ -161,17 +171,13 @@ def total(parts: Sequence[Moments]) -> Moments:
     """Return the moments of all tables stacked into one: one mean, so one offset for all."""
     if not parts:
         raise ValueError("no moments to add")
-    counts = np.array([part.count for part in parts], dtype=np.float64)
-    count = float(counts.sum())
-    if count == 0:
+    if len(parts) == 1:
         return parts[0]
-    # about one of the means: the others are near it, zero is not
-    near = parts[int(counts.argmax())].mean
-    steps = np.array([part.mean for part in parts]) - near
-    step = counts @ steps / count
-    apart = steps - step
-    scatter = np.sum([part.scatter for part in parts], axis=0)
-    return Moments(count, near + step, scatter + apart.T @ (counts[:, None] * apart))
+    return Stacked(
+        np.array([part.count for part in parts], dtype=np.float64),
+        np.array([part.mean for part in parts]),
+        np.array([part.scatter for part in parts]),
+    ).total()
 
 
 def within(parts: Sequence[Moments]) -> Moments:

@@ -14,6 +14,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ftcal.moments import Moments
+
 if TYPE_CHECKING:
     from jaxtyping import Float
     from numpy import ndarray as Array
@@ -64,34 +66,31 @@ class InSituOffset:
         return "; ".join(reason for found, reason in reasons if found) or None
 
 
-def in_situ_offset(
-    channels: Float[Array, "N K"],
-    gravity: Float[Array, "N 3"],
-    centre_of_mass: Float[Array, "N 3"],
-    scaling: Float[Array, "K K"],
-) -> InSituOffset:
+def in_situ_offset(attitude: Moments, scaling: Float[Array, "K K"]) -> InSituOffset:
     """Return the centre of the ellipsoid that the raw channels draw as gravity turns.
 
-    `gravity` [m/s^2] and `centre_of_mass` [m] of the free half come from the model, in the sensor
-    frame; `scaling` (`Workbench.scaling`) makes the channels comparable. Minimises
-    `sum |A g + b - r3|^2` over A (3x3) and b, with `r3` the centred channels on their three
-    principal directions; b mapped back is the offset.
+    `attitude` are the moments of `[channels, gravity, centre of mass]`: gravity [m/s^2] and centre
+    of mass [m] of the free half come from the model, in the sensor frame; `scaling`
+    (`Workbench.scaling`) makes the channels comparable. Minimises `sum |A g + b - r3|^2` over A
+    (3x3) and b, with `r3` the centred channels on their three principal directions; b mapped back
+    is the offset.
     """
-    mean = channels.mean(axis=0)
-    scaled = (channels - mean) @ scaling.T
-    _, spread, directions = np.linalg.svd(scaled, full_matrices=False)
-    power = spread**2
-    r3 = scaled @ directions[:3].T
-    design = np.column_stack([gravity, np.ones(len(gravity))])
-    solution = np.linalg.lstsq(design, r3, rcond=None)[0]
-    left = r3 - design @ solution
-    turning = np.linalg.svd(gravity - gravity.mean(axis=0), compute_uv=False)
-    moved = centre_of_mass - centre_of_mass.mean(axis=0)
-    centre = np.linalg.solve(scaling, directions[:3].T @ solution[3])
+    K = len(scaling)
+    S = attitude.scatter
+    S_gg = S[K : K + 3, K : K + 3]
+    d, V = np.linalg.eigh(scaling @ S[:K, :K] @ scaling.T)
+    power, directions = np.maximum(d[::-1], 0.0), V[:, ::-1].T
+    S_3g = directions[:3] @ scaling @ S[:K, K : K + 3]
+    A = S_3g @ np.linalg.pinv(S_gg, hermitian=True)
+    whole = float(power[:3].sum())
+    left = max(whole - float(np.sum(A * S_3g)), 0.0)
+    turning = np.sqrt(np.maximum(np.linalg.eigvalsh(S_gg), 0.0))
+    # gravity of zero is as far from its mean as the channels are from their offset
+    centre = np.linalg.solve(scaling, directions[:3].T @ (-A @ attitude.mean[K : K + 3]))
     return InSituOffset(
-        mean + centre,
+        attitude.mean[:K] + centre,
         float(power[3:].sum() / power.sum()) if power.sum() > 0 else 1.0,
-        float(np.sqrt(np.sum(left**2) / max(np.sum(r3**2), np.finfo(float).tiny))),
-        float(np.sqrt(np.mean(np.sum(moved**2, axis=1)))),
-        float(turning[-1] / turning[0]) if turning[0] > 0 else 0.0,
+        float(np.sqrt(left / max(whole, np.finfo(float).tiny))),
+        float(np.sqrt(np.trace(S[K + 3 :, K + 3 :]) / max(attitude.count, 1))),
+        float(turning[0] / turning[-1]) if turning[-1] > 0 else 0.0,
     )

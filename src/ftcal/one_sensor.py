@@ -5,33 +5,34 @@ Each step is a room of its own (`pairing`, `fit`, `validate`, `verdict`); here t
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 
 from ftcal.config import Job, RecordingSection
+from ftcal.cross_validation import validate_by_folds
 from ftcal.errors import DataError
-from ftcal.fit import Fit, FitOptions, fit
-from ftcal.folds import Cell, Pool, about_zero, blocked_folds, by_segment, cells
+from ftcal.fit import Fit, fit
+from ftcal.folds import Pool, about_zero, cells
+from ftcal.gathering import PairedSensor
 from ftcal.moments import within
 from ftcal.offset import InSituOffset, in_situ_offset
-from ftcal.pairing import Attitude, FtChannel, Paired, Windows, apart, pair
+from ftcal.paired import Paired, pair
+from ftcal.pairing import FtChannel
 from ftcal.progress import Steps
 from ftcal.recording import Finding, Recording
 from ftcal.ridge import Estimate
 from ftcal.robot import FtSensor, Robot
 from ftcal.samples import Samples
+from ftcal.segments import Segment, enveloping
 from ftcal.sensor import Workbench
 from ftcal.takes import PairedTake
-from ftcal.validate import Envelope, HeldOut, Scores, held_out, load_envelope, score
+from ftcal.validate import Envelope, Scores, held_out, named, score
 from ftcal.verdict import Verdict, judge
 
-if TYPE_CHECKING:
-    from jaxtyping import Bool
-    from numpy import ndarray as Array
+S = TypeVar("S", Samples, Segment)
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,11 +41,11 @@ class SensorOutcome:
 
     sensor: FtSensor
     channel: FtChannel
-    paired: tuple[Paired, ...]
+    paired: tuple[PairedSensor, ...]
     """One per recording that carries the sensor, in the order of the job."""
-    training: tuple[Samples, ...]
+    training: tuple[Segment, ...]
     """Offset segments trained on."""
-    test: tuple[Samples, ...]
+    test: tuple[Segment, ...]
     """Offset segments held out by the job."""
     fit: Fit
     in_situ: tuple[InSituOffset, ...]
@@ -83,25 +84,14 @@ def calibrate_sensor(
     """
     in_situ = job.fit.offset == "in situ"
     reference = reference_temperature(channel, takes)
-    name = next(s.name for s in job.sensors if robot.sensor(s.name).name == channel.sensor)
-    paired: list[Paired] = []
-    training: list[Samples] = []
-    fitted: list[Samples] = []
-    test: list[Samples] = []
+    paired = [take.sensors[channel.sensor].moved(temperature=-reference) for take in takes]
+    training = [segment for one in paired for segment in one.training]
+    test = [segment for one in paired for segment in one.test]
     offsets: list[InSituOffset] = []
-    for given, take in zip(job.recordings, takes, strict=True):
-        section = take.section(given)
-        both = settled(section, name, counted_from(reference, take.sensors[channel.sensor]))
-        train, held = split(section, name, both, job.signals.smoothing)
-        if in_situ:
-            taken = [raw_offset(both, segment, channel) for segment in train]
-            fitted += [about_offset(*pair) for pair in zip(train, taken, strict=True)]
-            offsets += taken
-        else:
-            fitted += train
-        paired.append(both)
-        training += train
-        test += held
+    fitted = training
+    if in_situ:
+        offsets = [raw_offset(segment, channel) for segment in training]
+        fitted = [about_offset(*each) for each in zip(training, offsets, strict=True)]
     if not training:
         raise DataError(
             f"sensor {channel.sensor!r}: no usable sample in any training window; widen `train`"
@@ -112,11 +102,11 @@ def calibrate_sensor(
             f" {job.signals.smoothing:g} s away from training; widen `test`"
         )
     pool: Pool = about_zero if in_situ else within
-    tiles = cells(fitted, job.signals.smoothing)
+    tiles = cells(fitted)
     options = job.fit.options()
     steps.begin(f"fitting {channel.sensor}")
     result = fit(tiles, channel.workbench, options, pool)
-    trained = load_envelope(np.concatenate([segment.wrench for segment in training]))
+    trained = named(enveloping(training))
     pieces = [held_out(s, result.estimate.coefficients, channel.workbench) for s in test]
     hold_out = score("hold-out", pieces, trained) if pieces else None
     k_fold = validate_by_folds(tiles, channel.workbench, options, pool, steps)
@@ -175,80 +165,18 @@ def reference_temperature(channel: FtChannel, takes: Sequence[PairedTake]) -> fl
     """Return T_ref [degree Celsius]: the mean over all recordings, zero where none is logged."""
     if channel.temperature is None:
         return 0.0
-    return float(np.concatenate([take.temperatures[channel.sensor] for take in takes]).mean())
+    readings = [take.warmth[channel.temperature] for take in takes]
+    return sum(n * mean for n, mean in readings) / sum(n for n, _ in readings)
 
 
-def counted_from(reference: float, both: Paired) -> Paired:
-    """Return the samples with their temperature counted from `reference` [degree Celsius]."""
-    warm = both.samples.temperature
-    if warm is None:
-        return both
-    return replace(both, samples=replace(both.samples, temperature=warm - reference))
-
-
-def settled(section: RecordingSection, sensor: str, both: Paired) -> Paired:
-    """Return the samples without those that the job leaves out of a sensor's training."""
-    if not section.leave_out.get(sensor):
-        return both
-    return chosen(both, section.trained_on(sensor, both.samples.time))
-
-
-def chosen(both: Paired, keep: Bool[Array, "N"]) -> Paired:
-    """Return some of the samples."""
-    samples, attitude = both.samples, both.attitude
-    warm = samples.temperature
-    return replace(
-        both,
-        samples=replace(
-            samples,
-            time=samples.time[keep],
-            channels=samples.channels[keep],
-            wrench=samples.wrench[keep],
-            temperature=None if warm is None else warm[keep],
-        ),
-        attitude=attitude and Attitude(attitude.gravity[keep], attitude.centre_of_mass[keep]),
-    )
-
-
-def split(
-    section: RecordingSection, sensor: str, both: Paired, smoothing: float
-) -> tuple[list[Samples], list[Samples]]:
-    """Return the training and the held-out segments of one recording, cut where offsets step.
-
-    Held-out windows give up what lies within one smoothing window of a training window.
-    """
-    everything: Windows = [(both.samples.start, np.nextafter(both.samples.stop, np.inf))]
-    train: Windows = section.train if section.train is not None else everything
-    if section.train is None and section.test:
-        train = []
-    held = apart(section.test, train, smoothing)
-    return both.windows(cut(section, sensor, train)), both.windows(cut(section, sensor, held))
-
-
-def cut(section: RecordingSection, sensor: str, windows: Windows) -> list[tuple[float, float]]:
-    """Return windows cut where the offset of a sensor steps."""
-    found: list[tuple[float, float]] = []
-    for start, stop in windows:
-        inside = [t for t in section.known_breaks.get(sensor, ()) if start < t < stop]
-        found += itertools.pairwise([start, *inside, stop])
-    return found
-
-
-def raw_offset(both: Paired, segment: Samples, channel: FtChannel) -> InSituOffset:
+def raw_offset(segment: Segment, channel: FtChannel) -> InSituOffset:
     """Return the in situ offset of a segment, which may refuse to be used."""
-    if both.attitude is None:
+    if segment.attitude is None:
         raise ValueError("pair the recording with its attitude")
-    first, last = np.searchsorted(both.samples.time, [segment.time[0], segment.time[-1]])
-    rows = slice(int(first), int(last) + 1)
-    return in_situ_offset(
-        segment.channels,
-        both.attitude.gravity[rows],
-        both.attitude.centre_of_mass[rows],
-        channel.workbench.scaling,
-    )
+    return in_situ_offset(segment.attitude, channel.workbench.scaling)
 
 
-def about_offset(segment: Samples, offset: InSituOffset) -> Samples:
+def about_offset(segment: S, offset: InSituOffset) -> S:
     """Return a segment with its in situ offset taken off its channels.
 
     Raises `DataError` with the figure where the assumption of a constant centre of mass fails.
@@ -257,48 +185,7 @@ def about_offset(segment: Samples, offset: InSituOffset) -> Samples:
         raise DataError(
             f'in situ offset of {segment.label} refused: {offset.refusal}; use offset = "centred"'
         )
-    return replace(segment, channels=segment.channels - offset.offset)
-
-
-def validate_by_folds(
-    tiles: Sequence[Cell], workbench: Workbench, options: FitOptions, pool: Pool, steps: Steps
-) -> Scores | None:
-    """Return the scores of blocked K-fold: each block read by a fit that never saw it.
-
-    The prior's strength is chosen anew inside every fold (nested). None where the data are too
-    short for the folds.
-    """
-    try:
-        folds = blocked_folds(tiles, options.folds)
-    except DataError:
-        return None
-    pieces: list[HeldOut] = []
-    for fold in folds:
-        steps.begin("validating on blocks it never saw")
-        try:
-            estimate = fit(fold.train, workbench, options, pool).estimate
-        except DataError:
-            return None
-        for group in by_segment(fold.held):
-            merged = merge([cell.samples for cell in group])
-            pieces.append(held_out(merged, estimate.coefficients, workbench))
-    trained = load_envelope(np.concatenate([cell.samples.wrench for cell in tiles]))
-    return score(f"{options.folds}-fold", pieces, trained)
-
-
-def merge(parts: Sequence[Samples]) -> Samples:
-    """Return neighbouring pieces of one segment as one."""
-    first, last = parts[0], parts[-1]
-    warm = [part.temperature for part in parts if part.temperature is not None]
-    return Samples(
-        first.recording,
-        first.start,
-        last.stop,
-        np.concatenate([part.time for part in parts]),
-        np.concatenate([part.channels for part in parts]),
-        np.concatenate([part.wrench for part in parts]),
-        np.concatenate(warm) if warm else None,
-    )
+    return segment.moved(-offset.offset)
 
 
 def deployed(estimate: Estimate, workbench: Workbench, verdicts: Sequence[Verdict]) -> Estimate:

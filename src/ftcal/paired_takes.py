@@ -7,7 +7,6 @@ found again as long as nothing that made it has changed.
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache, partial
@@ -17,19 +16,30 @@ from ftcal.archive import Shelf
 from ftcal.compute import Executor, Failure
 from ftcal.config import Job, RecordingSection
 from ftcal.errors import DataError, FtcalError, LogError
-from ftcal.one_sensor import pair_recording
-from ftcal.pairing import Attitude, FtChannel, Paired
+from ftcal.gathering import Gathering, PairedSensor
+from ftcal.logs.pieces import Pieces, WholeLog
+from ftcal.moments import Moments, Stacked
+from ftcal.overview import Overview, overview
+from ftcal.pairing import FtChannel
+from ftcal.piece_pairing import Pairing
 from ftcal.preparation import ingredients, shelved
 from ftcal.progress import Steps, silent
 from ftcal.recording import Finding, Recording, Signal
 from ftcal.robot import Robot
 from ftcal.samples import Samples
 from ftcal.segmentation import segmented
-from ftcal.takes import PairedTake, Takes
+from ftcal.segments import Segment
+from ftcal.takes import PairedTake, Takes, opened, read_log
 from ftcal.urdf import read_robot
 
-KINDS = {kind.__name__: kind for kind in (PairedTake, Recording, Signal, Finding, Paired, Samples,
-                                          Attitude)}  # fmt: skip
+PIECE_ROWS = 8192
+"""Samples of a signal that are paired at a time: what six sensors make of them stays in cache."""
+
+MOST_SAMPLES, LEAST_SAMPLES = 1 << 17, 1 << 11
+"""Samples that are kept for eyes, of each sensor in all recordings; and of one at least."""
+
+KINDS = {kind.__name__: kind for kind in (PairedTake, Recording, Signal, Finding, PairedSensor,
+                                          Samples, Segment, Stacked, Moments)}  # fmt: skip
 """What a shelf of paired recordings may hold."""
 
 
@@ -97,35 +107,72 @@ def take_at(place: Path, work: Work, shelf: Shelf) -> PairedTake:
 def _made(work: Work) -> PairedTake:
     channels, job = work.channels, work.job
     robot = known_robot(job.path(job.robot), work.robot)
-    quiet = Steps(silent, 1)
-    # kept whatever its size: it is looked at twice, and alone
-    takes = Takes.read(job, robot, channels, quiet, most=sys.maxsize)
-    job, takes = segmented(job, robot, channels, takes, quiet)
-    (section,), (recording,), (findings,) = job.recordings, takes, takes.findings
+    names = {c.sensor: given.name for c, given in zip(channels, job.sensors, strict=True)}
+    log, in_situ = logged(work), job.fit.offset == "in situ"
+    seen = overview(log, robot, channels, job.signals.max_gap)
+    section, findings = unrest_found(work, robot, log, seen)
+    pairing = Pairing.of(
+        log,
+        robot,
+        channels,
+        section.schedule(),
+        gravity=section.gravity,
+        imu=section.imu,
+        findings=findings,
+        clocks=seen.clocks,
+        options=job.signals.options(),
+        with_attitude=in_situ,
+    )
+    gathering = {
+        channel.sensor: Gathering.of(
+            section,
+            names[channel.sensor],
+            channel,
+            log.head.start,
+            smoothing=job.signals.smoothing,
+            in_situ=in_situ,
+        )
+        for channel in channels
+    }
+    for piece in log.pieces(rows=PIECE_ROWS, overlap=pairing.overlap):
+        for channel, rows in pairing.rows(piece):
+            gathering[channel.sensor].add(rows)
+    pairing.check()
     return PairedTake(
-        recording.outline(),
+        seen.outline,
         findings,
         dict(section.known_breaks),
         dict(section.leave_out),
+        dict(seen.warmth),
         {
-            channel.sensor: recording.temperature(channel.temperature).values[:, 0]
-            for channel in channels
-            if channel.temperature is not None
-        },
-        {
-            channel.sensor: pair_recording(
-                job,
-                robot,
-                channel,
-                section,
-                recording,
-                findings,
-                0.0,
-                with_attitude=job.fit.offset == "in situ",
-            )
-            for channel in channels
+            sensor: one.gathered(pairing.logged[sensor], pairing.paired[sensor])
+            for sensor, one in gathering.items()
         },
     )
+
+
+def logged(work: Work) -> Pieces:
+    """Return the log of a recording, opened.
+
+    In memory as a whole where offsets are searched for steps: any stretch is compared with others.
+    """
+    if work.section.breaks == "auto":
+        return WholeLog(read_log(work.job, work.section))
+    return opened(work.job, work.section)
+
+
+def unrest_found(
+    work: Work, robot: Robot, log: Pieces, seen: Overview
+) -> tuple[RecordingSection, tuple[Finding, ...]]:
+    """Return the section of a recording with breaks in place of "auto", and its findings."""
+    match log:
+        case WholeLog(recording) if work.section.breaks == "auto":
+            only = Takes(
+                work.job, robot, work.channels, (seen.outline,), (seen.findings,), {0: recording}
+            )
+            job, takes = segmented(work.job, robot, work.channels, only, Steps(silent, 1))
+            return job.recordings[0], takes.findings[0]
+    return work.section, seen.findings
 
 
 def told(work: Work, shelf: Shelf | None) -> PairedTake | FtcalError:
@@ -151,6 +198,7 @@ def paired_takes(
     fault.
     """
     steps.begin("pairing recordings")
+    most = max(LEAST_SAMPLES, MOST_SAMPLES // len(job.recordings))
     found: dict[str, PairedTake] = {}
     faults: dict[str, FtcalError] = {}
     task = partial(told, shelf=shelf)
@@ -158,7 +206,7 @@ def paired_takes(
         steps.begin(f"paired {label}")
         match result:
             case PairedTake():
-                found[label] = result
+                found[label] = result.thinned(most)
             case Failure():
                 faults[label] = DataError(f"recording {label!r}: {result.reason}")
             case _:

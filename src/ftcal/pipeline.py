@@ -10,21 +10,19 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
-import numpy as np
-
 from ftcal.archive import Shelf
 from ftcal.calibration import Calibration
 from ftcal.compute import Executor, Here
 from ftcal.config import Job, SensorSection
 from ftcal.errors import DataError, RobotError
 from ftcal.evidence import provenance, sensor_calibration
-from ftcal.one_sensor import SensorOutcome, calibrate_sensor, pair_recording
+from ftcal.one_sensor import SensorOutcome, calibrate_sensor
 from ftcal.paired_takes import paired_takes
 from ftcal.pairing import FtChannel, one_sided
 from ftcal.progress import Progress, Steps, silent
 from ftcal.recording import Finding, Recording
 from ftcal.robot import Robot
-from ftcal.takes import Logs, PairedTake, Takes
+from ftcal.takes import Logs, PairedTake
 from ftcal.urdf import read_robot
 from ftcal.validate import Scores, held_out, score
 from ftcal.workbench import read_workbench
@@ -149,26 +147,21 @@ def score_calibration(
     robot = read_robot(job.path(job.robot))
     channels = [calibrated_channel(calibration, robot, section) for section in job.sensors]
     check_contacts(job, robot, channels)
-    takes = len(job.recordings)
-    steps = Steps(progress, takes * (1 + len(channels)))
-    recordings = Takes.read(job, robot, channels, steps)
+    steps = Steps(progress, 1 + len(job.recordings))
+    # nothing is trained on: what is judged are the windows held out, or all there is
+    judged = [s.model_copy(update={"train": s.test or None, "test": ()}) for s in job.recordings]
+    whole = job.model_copy(update={"recordings": tuple(judged)})
+    takes = paired_takes(whole, robot, channels, where=Here(), shelf=None, steps=steps)
     scores = {}
     for channel in channels:
         known = calibration.sensor(channel.sensor)
-        coefficients = known.coefficients
-        pieces = []
-        for section, recording, found in zip(
-            job.recordings, recordings, recordings.findings, strict=True
-        ):
-            steps.begin(f"scoring {channel.sensor} in {section.label}")
-            both = pair_recording(
-                job, robot, channel, section, recording, found, known.reference_temperature
-            )
-            whole = ((-np.inf, np.inf),)
-            pieces += [
-                held_out(samples, coefficients, channel.workbench)
-                for samples in both.windows(section.test or whole)
-            ]
+        pieces = [
+            held_out(segment, known.coefficients, channel.workbench)
+            for take in takes
+            for segment in take.sensors[channel.sensor]
+            .moved(temperature=-known.reference_temperature)
+            .training
+        ]
         if not pieces:
             raise DataError(f"sensor {channel.sensor!r}: no usable sample in any test window")
         scores[channel.sensor] = score("validation", pieces, known.envelope)

@@ -20,8 +20,8 @@ from ftcal.firmware import estimate_full_scale
 from ftcal.health import logs_counts
 from ftcal.logs.columns import digest, file_sha256
 from ftcal.logs.yarp import SAMPLES
-from ftcal.offset import InSituOffset
-from ftcal.one_sensor import pair_recording, raw_offset
+from ftcal.offset import InSituOffset, in_situ_offset
+from ftcal.one_sensor import pair_recording
 from ftcal.pairing import FtChannel, one_sided
 from ftcal.recording import Finding, Recording, Signal
 from ftcal.robot import Robot
@@ -193,7 +193,10 @@ def _sensor_take(
         aligning = found[0]
     return SensorTake(
         tuple(segments),
-        tuple(raw_offset(both, segment, channel) for segment in segments),
+        tuple(
+            in_situ_offset(both.attitude_during(segment), channel.workbench.scaling)
+            for segment in segments
+        ),
         aligning,
         _full_scale(recording.channel(channel.signal)),
     )

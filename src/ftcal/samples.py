@@ -7,16 +7,17 @@ assumption "the offset does not change during the experiment"): an offset segmen
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ftcal.errors import DataError
 from ftcal.moments import Moments
+from ftcal.thinning import thinning_step
 
 if TYPE_CHECKING:
-    from jaxtyping import Float
+    from jaxtyping import Bool, Float
     from numpy import ndarray as Array
 
 
@@ -79,6 +80,30 @@ class Samples:
             self.channels[some],
             self.wrench[some],
             None if self.temperature is None else self.temperature[some],
+        )
+
+    def moved(self, channels: Float[Array, "K"], temperature: float = 0.0) -> Samples:
+        """Return the samples with something added to the channels and the temperature [K]."""
+        warm = self.temperature
+        return replace(
+            self,
+            channels=self.channels + channels,
+            temperature=None if warm is None else warm + temperature,
+        )
+
+    def thinned(self, most: int) -> Samples:
+        """Return every so-manieth sample, at most `most` of them."""
+        return self.where(slice(None, None, thinning_step(len(self), most)))
+
+    def where(self, some: slice | Bool[Array, "N"]) -> Samples:
+        """Return some of the samples of the same stretch."""
+        warm = self.temperature
+        return replace(
+            self,
+            time=self.time[some],
+            channels=self.channels[some],
+            wrench=self.wrench[some],
+            temperature=None if warm is None else warm[some],
         )
 
 

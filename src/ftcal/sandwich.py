@@ -18,8 +18,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ftcal.folds import Cell, by_segment
-from ftcal.moments import total
+from ftcal.folds import Cells, by_segment
 from ftcal.noise import Noise
 from ftcal.ridge import Estimate, ScaledProblem, scaling_map
 
@@ -38,7 +37,7 @@ ROUNDS = 100
 
 
 def robust_posterior(
-    problem: ScaledProblem, cells: Sequence[Cell], kappa: Float[Array, "6"], noise: Noise
+    problem: ScaledProblem, cells: Cells, kappa: Float[Array, "6"], noise: Noise
 ) -> Estimate:
     """Return the maximum a posteriori estimate with a covariance that model errors do not fool.
 
@@ -107,8 +106,8 @@ def drawn(problem: ScaledProblem, E: Float[Array, "6 P"]) -> Float[Array, "6 P"]
 
 
 def products(
-    cells: Sequence[Cell], problem: ScaledProblem, E: Float[Array, "6 P"]
-) -> list[Float[Array, "B 6 P"]]:
+    cells: Cells, problem: ScaledProblem, E: Float[Array, "6 P"]
+) -> list[Float[Array, "C 6 P"]]:
     """Return the sum of `(z - E y) y^T` over each cell, a table for every offset segment.
 
     y and z are taken about the mean of the segment, as the offset leaves them.
@@ -116,11 +115,18 @@ def products(
     n = len(problem.basis)
     to_yz = scaling_map(problem.workbench, n)
     to_residual = to_yz[n:] - E @ to_yz[:n]
+    moments, P = cells.moments, len(E.T)
+    # of all cells at once: one product of two matrices
+    both = np.einsum("jp,id->pdij", problem.basis, to_residual).reshape(-1, 6 * P)
+    inside = moments.scatter.reshape(len(moments), -1)[:, : len(both)] @ both
+    means = cells.sums.by_segment(cells.chosen).mean
     tables = []
-    for group in by_segment(cells):
-        mean = total([cell.moments for cell in group]).mean
-        scatters = np.array([cell.moments.about(mean).scatter for cell in group])
-        tables.append(to_residual @ scatters @ to_yz[:n].T)
+    for group, mean in zip(by_segment(cells), means, strict=True):
+        apart = moments.mean[group] - mean
+        left, y = apart @ to_residual.T, apart[:, :n] @ problem.basis.T
+        across = (moments.count[group, None] * left)[:, :, None] * y[:, None, :]
+        table = inside[group].reshape(-1, 6, P) + across
+        tables.append(cells.weight[group, None, None] * table)
     return tables
 
 
@@ -130,7 +136,7 @@ def product_variance(
     """Return the variance of the summed products of each axis along each direction (columns)."""
     variance = np.zeros(tables[0].shape[1:])
     for table in tables:
-        along = table @ directions
+        along = (table.reshape(-1, len(directions)) @ directions).reshape(table.shape)
         variance += np.sum(along**2, axis=0)
         for lag in range(1, min(LAGS, len(along) - 1) + 1):
             weight = 2.0 * (1.0 - lag / (LAGS + 1.0))

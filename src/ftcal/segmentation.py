@@ -21,7 +21,7 @@ from ftcal.balanced_take import balanced
 from ftcal.balances import Balance
 from ftcal.config import Job, RecordingSection
 from ftcal.errors import DataError, RobotError
-from ftcal.one_sensor import chosen, pair_recording
+from ftcal.one_sensor import pair_recording
 from ftcal.pairing import FtChannel, Windows
 from ftcal.progress import Steps
 from ftcal.recording import Finding, Recording
@@ -76,7 +76,7 @@ def _resolved(
     for channel in channels:
         with suppress(DataError, RobotError):  # its limb is never free
             both = pair_recording(job, robot, channel, section, recording, findings, 0.0)
-            samples = chosen(both, within(both.samples.time, named)).samples
+            samples = both.samples.where(within(both.samples.time, named))
             if len(samples):
                 unrest[channel.sensor] = [unrest_of(samples, channel, job.signals.options())]
     known = with_unrest(section, unrest, names)

@@ -16,6 +16,7 @@ import numpy as np
 
 from ftcal.moments import Moments, Stacked, total
 from ftcal.samples import Samples
+from ftcal.thinning import Thinning
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Int
@@ -36,6 +37,8 @@ class Segment:
     """Its samples: all of them, or every so-manieth."""
     cells: Stacked
     """Moments of `Samples.rows` of its cells, of all samples, in order."""
+    spans: Float[Array, "B 2"]
+    """Times of the first and the last sample of each cell [s]."""
     envelope: Float[Array, "2 8"]
     """Least and greatest model wrench per axis, of force and of torque in magnitude [N, Nm]."""
     attitude: Moments | None = None
@@ -46,28 +49,35 @@ class Segment:
         return round(float(self.cells.count.sum()))
 
     @property
+    def label(self) -> str:
+        """Name for tables and messages."""
+        return self.samples.label
+
+    @property
     def whole(self) -> bool:
         """Whether `samples` are all there are."""
         return len(self.samples) == len(self)
 
+    @property
+    def step(self) -> int:
+        """One sample in so many is kept."""
+        return round(len(self) / len(self.samples))
+
     def moments(self) -> Moments:
         """Return the moments of `Samples.rows` of all samples."""
-        return total([self.cells.one(i) for i in range(len(self.cells))])
+        return self.cells.total()
 
     def moved(self, channels: Float[Array, "K"], temperature: float = 0.0) -> Segment:
         """Return the segment with something added to its channels and its temperature [K]."""
-        some, warm = self.samples, self.samples.temperature
         by = np.concatenate([channels, np.zeros(self.cells.mean.shape[1] - len(channels))])
         by[len(channels) : -6] = temperature
         return replace(
-            self,
-            samples=replace(
-                some,
-                channels=some.channels + channels,
-                temperature=None if warm is None else warm + temperature,
-            ),
-            cells=self.cells.moved(by),
+            self, samples=self.samples.moved(channels, temperature), cells=self.cells.moved(by)
         )
+
+    def thinned(self, most: int) -> Segment:
+        """Return the segment with at most so many of its samples for eyes."""
+        return replace(self, samples=self.samples.thinned(most))
 
     @staticmethod
     def of(samples: Samples, length: float) -> Segment:
@@ -101,8 +111,6 @@ class Growing:
     """Samples that passed."""
     halvings: int = 0
     """How often cells were merged in pairs."""
-    step: int = 1
-    """One sample in so many is kept."""
     first: float = 0.0
     """Time of the first sample [s]."""
     last: float = 0.0
@@ -110,10 +118,15 @@ class Growing:
     cells: list[Stacked] = field(default_factory=list)
     numbers: list[Int[Array, "B"]] = field(default_factory=list)
     """Of the cells, counted in cells of the first length."""
-    kept: list[tuple[Float[Array, "M"], Float[Array, "M D"]]] = field(default_factory=list)
+    spans: list[Float[Array, "B 2"]] = field(default_factory=list)
+    """Times of the first and the last sample of each cell [s]."""
+    kept: Thinning = field(init=False)
     """Times and rows."""
     envelope: Float[Array, "2 8"] = field(default_factory=_nothing)
     attitude: list[Moments] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self.kept = Thinning(self.most_samples)
 
     def add(
         self,
@@ -133,11 +146,10 @@ class Growing:
         edges = np.flatnonzero(np.concatenate([[True], np.diff(number) > 0, [True]]))
         self.numbers.append(number[edges[:-1]])
         self.cells.append(Stacked.of_each(rows, edges))
+        self.spans.append(np.stack([time[edges[:-1]], time[edges[1:] - 1]], axis=1))
         self._merge(MOST_CELLS)
-        skipped = -self.count % self.step
-        self.kept.append((time[skipped :: self.step].copy(), rows[skipped :: self.step].copy()))
+        self.kept.add(time, rows)
         self.count += len(time)
-        self._thin()
         self.envelope = _around(self.envelope, loads(rows[:, -6:]))
         if attitude is not None:
             self.attitude.append(Moments.of(np.hstack([rows[:, :channels], attitude])))
@@ -147,21 +159,24 @@ class Growing:
         if not self.count:
             raise ValueError("a segment without samples")
         self._merge(MOST_CELLS, settle=True)
-        self._thin(settle=True)
-        ((time, rows),) = self.kept
+        kept, K = self.kept.rows(), self.channels
         start, stop = self.window
-        K = self.channels
+        # tables of their own: columns of a wider one are slow to add and to multiply
+        time, channels, *warm, wrench = (
+            np.ascontiguousarray(kept[:, columns])
+            for columns in (0, slice(1, K + 1), *range(K + 1, kept.shape[1] - 6), slice(-6, None))
+        )
         return Segment(
             Samples(
                 self.recording,
                 start if np.isfinite(start) else self.first,
                 stop if np.isfinite(stop) else float(np.nextafter(self.last, np.inf)),
                 time,
-                rows[:, :K],
-                rows[:, -6:],
-                rows[:, K] if rows.shape[1] > K + 6 else None,
+                channels,
+                wrench,
+                warm[0] if warm else None,
             ),
-            self._whole_cells(),
+            *self._whole_cells(),
             self.envelope,
             total(self.attitude) if self.attitude else None,
         )
@@ -179,38 +194,32 @@ class Growing:
                 break
             self.halvings += 1
         self.cells, self.numbers = [cells.merged(starts)], [numbers[starts]]
+        self.spans = [covered(np.concatenate(self.spans), starts)]
 
-    def _whole_cells(self) -> Stacked:
-        """Return the cells, the last put to the one before where it is short of half a cell."""
-        (cells,), (numbers,) = self.cells, self.numbers
+    def _whole_cells(self) -> tuple[Stacked, Float[Array, "B 2"]]:
+        """Return cells and spans, the last put to the one before where it is less than half."""
+        (cells,), (numbers,), (spans,) = self.cells, self.numbers, self.spans
         length = self.length * (1 << self.halvings)
         began = self.first + length * float(numbers[-1] >> self.halvings)
         if len(cells) > 1 and self.last - began < 0.5 * length:
-            return cells.merged(np.arange(len(cells) - 1))
-        return cells
+            starts = np.arange(len(cells) - 1)
+            return cells.merged(starts), covered(spans, starts)
+        return cells, spans
 
-    def _thin(self, *, settle: bool = False) -> None:
-        """Let every other sample go while there are more than may be kept."""
-        held = sum(len(time) for time, _ in self.kept)
-        if not settle and held <= 2 * self.most_samples:
-            return
-        time = np.concatenate([part for part, _ in self.kept])
-        rows = np.concatenate([part for _, part in self.kept])
-        while len(time) > self.most_samples:
-            time, rows, self.step = time[::2], rows[::2], 2 * self.step
-        self.kept = [(time.copy(), rows.copy())]
+
+def covered(spans: Float[Array, "B 2"], starts: Int[Array, "G"]) -> Float[Array, "G 2"]:
+    """Return the spans of neighbours put together, as `Stacked.merged` puts their moments."""
+    last = np.append(starts[1:], len(spans)) - 1
+    return np.stack([spans[starts, 0], spans[last, 1]], axis=1)
 
 
 def loads(wrench: Float[Array, "N 6"]) -> Float[Array, "2 8"]:
     """Return the range of each axis of a wrench, and of force and torque in magnitude."""
-    square = wrench**2
-    size = np.sqrt([square[:, :3].sum(axis=1), square[:, 3:].sum(axis=1)])
-    return np.array(
-        [
-            [*wrench.min(axis=0), *size.min(axis=1)],
-            [*wrench.max(axis=0), *size.max(axis=1)],
-        ]
-    )
+    # axis by axis: columns of a table are far apart in memory
+    axes = np.ascontiguousarray(wrench.T)
+    force, torque = (np.einsum("ij,ij->j", half, half) for half in (axes[:3], axes[3:]))
+    sizes = [np.sqrt([half.min(), half.max()]) for half in (force, torque)]
+    return np.column_stack([np.array([axes.min(axis=1), axes.max(axis=1)]), *sizes])
 
 
 def enveloping(segments: Sequence[Segment]) -> Float[Array, "2 8"]:

@@ -31,6 +31,9 @@ SMOOTHING_WINDOW, SMOOTHING_ORDER = 1.01, 2
 CHUNK_ROWS = 2048
 """Rows filtered at a time: grid, filtered and interpolated values stay in cache."""
 
+ALIKE = 1e-9
+"""Share of a step by which two clocks may differ and still be one: rounding of times."""
+
 SLACK = 1e-6
 """Share of a period by which a stamp may miss the end of a run: rounding, not extrapolation."""
 
@@ -131,6 +134,29 @@ def interpolate(
     return values
 
 
+def temperature_at(thermometer: Signal, clock: Int[Array, "N"], gap: float) -> Float[Array, "N"]:
+    """Return the temperature on the stamps `clock` [ns]; NaN in holes and outside.
+
+    As `signals.interpolate`, but the two samples about a stamp alone decide, to the last bit: it
+    counts time from the first sample of a run, which a piece does not know.
+    """
+    stamps, values = thermometer.stamps, thermometer.values[:, 0]
+    if not len(stamps):
+        return np.full(len(clock), np.nan)
+    # whether a sample continues the one before it; none before the first, none after the last
+    linked = np.zeros(len(stamps) + 1, dtype=bool)
+    linked[1:-1] = np.diff(stamps) <= round(gap * NANOSECONDS)
+    linked[list(thermometer.breaks)] = False
+    before = np.searchsorted(stamps, clock, side="right") - 1
+    row = np.maximum(before, 0)
+    following = np.minimum(row + 1, len(stamps) - 1)
+    sampled = stamps[row] == clock
+    share = (clock - stamps[row]) / np.maximum(stamps[following] - stamps[row], 1)
+    between = values[row] + share * (values[following] - values[row])
+    supported = (before >= 0) & (linked[row + 1] | (sampled & linked[row]))
+    return np.where(supported, between, np.nan)
+
+
 def joint_motion(
     recording: Recording,
     joints: Sequence[str],
@@ -151,7 +177,7 @@ def joint_motion(
     `DataError` names all joints not logged, joints logged twice, and signals without a run as
     long as the filter.
     """
-    owners = _owners(recording, joints)
+    owners = joint_owners(recording, joints)
     cuts = tuple(findings)
     table = np.full((3, len(clock), len(joints)), np.nan)
     valid = np.ones(len(clock), dtype=bool)
@@ -166,15 +192,16 @@ def joint_motion(
             columns = wanted
         source = [signal.columns.index(joints[column]) for column in wanted]
         stretches = runs(signal, max_gap=max_gap, usable=usable(recording, signal, cuts))
-        filters = [_Filter.of(signal.stamps[run], window, order) for run in stretches]
+        filters = [run_filter(signal.stamps[run], window, order) for run in stretches]
         if not any(filters):
-            faults.append(_too_short(signal, stretches, window))
+            spans = [_span(signal.stamps[run]) for run in stretches]
+            faults.append(too_short(signal.name, max(spans, default=0.0), window))
         supported = np.zeros(len(clock), dtype=bool)
-        for run, run_filter in zip(stretches, filters, strict=True):
-            if run_filter is not None:
-                rows = run_filter.rows(clock)
+        for run, found in zip(stretches, filters, strict=True):
+            if found is not None:
+                rows = found.rows(clock)
                 values = np.ascontiguousarray(signal.values[run][:, source])
-                table[:, rows, columns] = run_filter.derive(values, clock[rows])
+                table[:, rows, columns] = found.derive(signal.stamps[run], values, clock[rows])
                 supported[rows] = True
         valid &= supported
     raise_all(DataError, f"recording {recording.name!r}", faults)
@@ -183,54 +210,79 @@ def joint_motion(
 
 
 @dataclass(frozen=True, slots=True)
-class _Filter:
-    """The joint filter of one run, on the regular grid of its mean period."""
+class RunFilter:
+    """The joint filter of one run, on the regular grid of its mean period.
 
-    stamps: Int[Array, "N"]
-    """Nanoseconds, of the run."""
-    period: float
-    """Step of the grid [s]; it begins and ends with the run."""
+    It knows when the run began, ended and how many samples it has, so that a part of the run can
+    be filtered as the whole is.
+    """
+
+    start: int
+    """Stamp of the first sample of the run [ns]; the grid begins there."""
+    stop: int
+    """Stamp of its last sample [ns]; the grid ends there."""
+    count: int
+    """Samples of the run."""
     window: int
     """Samples."""
     order: int
 
-    @classmethod
-    def of(cls, stamps: Int[Array, "N"], window: float, order: int) -> _Filter | None:
+    @staticmethod
+    def of(start: int, stop: int, count: int, window: float, order: int) -> RunFilter | None:
         """Return the filter that spans `window` seconds, or None where the run is shorter."""
-        n = len(stamps)
-        if n < 2:
+        if count < 2:
             return None
-        period = float(stamps[-1] - stamps[0]) / NANOSECONDS / (n - 1)
-        samples = odd_window(window, period)
-        return cls(stamps, period, samples, order) if samples <= n else None
+        samples = odd_window(window, (stop - start) / NANOSECONDS / (count - 1))
+        return RunFilter(start, stop, count, samples, order) if samples <= count else None
+
+    @property
+    def period(self) -> float:
+        """Step of the grid [s]."""
+        return (self.stop - self.start) / NANOSECONDS / (self.count - 1)
+
+    @property
+    def reach(self) -> float:
+        """How far from a stamp samples are asked for [s], but for the pause they may stand in."""
+        return (self.window // 2 + 1) * self.period
 
     def position(self, clock: Int[Array, "M"]) -> Float[Array, "M"]:
         """Return where `clock` lies among the filtered samples; 0 is the first."""
-        return _since(clock, int(self.stamps[0])) / self.period - self.window // 2
+        return _since(clock, self.start) / self.period - self.window // 2
 
     def rows(self, clock: Int[Array, "M"]) -> slice:
         """Return the stamps of `clock` within the support of the filter."""
-        last = len(self.stamps) - self.window
+        last = self.count - self.window
         begin, end = np.searchsorted(self.position(clock), [-SLACK, last + SLACK])
         return slice(int(begin), int(end))
 
-    def derive(self, values: Float[Array, "N J"], clock: Int[Array, "M"]) -> Float[Array, "3 M J"]:
-        """Return value, first and second derivative on `clock`, all within the support."""
-        t = _since(self.stamps, int(self.stamps[0]))
-        last = len(t) - self.window
+    def derive(
+        self, stamps: Int[Array, "N"], values: Float[Array, "N J"], clock: Int[Array, "M"]
+    ) -> Float[Array, "3 M J"]:
+        """Return value, first and second derivative on `clock`, all within the support.
+
+        `stamps` and `values` are the run, or as much of it as lies within `reach` and a pause.
+        """
+        t = _since(stamps, self.start)
+        end_of_grid = (self.stop - self.start) / NANOSECONDS
+        last = self.count - self.window
         at = np.clip(self.position(clock), 0.0, last)
         joints = values.shape[1]
         derived = np.empty((3, len(clock), joints))
-        scratch = np.empty(3 * (min(CHUNK_ROWS, last) + 1) * joints)
-        for start in range(0, max(last, 1), CHUNK_ROWS):
-            stop = min(start + CHUNK_ROWS, last)  # filtered samples start … stop, both needed
+        if not len(clock):
+            return derived
+        # filtered samples that are asked for: the first, and the one after the last
+        first = min(int(at[0]), max(last - 1, 0))
+        final = min(int(at[-1]) + 1, last)
+        scratch = np.empty(3 * (min(CHUNK_ROWS, final - first) + 1) * joints)
+        for start in range(first, max(final, first + 1), CHUNK_ROWS):
+            stop = min(start + CHUNK_ROWS, final)  # filtered samples start … stop, both needed
             count = stop - start + 1
-            grid = np.minimum(np.arange(start, stop + self.window) * self.period, t[-1])
+            grid = np.minimum(np.arange(start, stop + self.window) * self.period, end_of_grid)
             filtered = scratch[: 3 * count * joints].reshape(3, count, joints)
             regular = _linear(t, values, grid)
             smooth_and_derive(regular, self.window, self.order, self.period, out=filtered)
             begin = np.searchsorted(at, start)
-            end = len(at) if stop == last else np.searchsorted(at, stop)
+            end = len(at) if stop == final else np.searchsorted(at, stop)
             before = np.minimum(at[begin:end].astype(np.intp), max(last - 1, 0)) - start
             share = at[begin:end] - (before + start)
             for order, samples in enumerate(filtered):
@@ -238,7 +290,12 @@ class _Filter:
         return derived
 
 
-def _owners(recording: Recording, joints: Sequence[str]) -> dict[str, Signal]:
+def run_filter(stamps: Int[Array, "N"], window: float, order: int) -> RunFilter | None:
+    """Return the filter of a run, or None where it is shorter than `window` seconds."""
+    return RunFilter.of(int(stamps[0]), int(stamps[-1]), len(stamps), window, order)
+
+
+def joint_owners(recording: Recording, joints: Sequence[str]) -> dict[str, Signal]:
     """Return the signal that logs each of `joints`, or raise `DataError` with all faults."""
     logged = tuple(joint for signal in recording.joints for joint in signal.columns)
     empty = np.empty((0, len(logged)))
@@ -260,15 +317,16 @@ def _owners(recording: Recording, joints: Sequence[str]) -> dict[str, Signal]:
     return owners
 
 
-def _too_short(signal: Signal, stretches: Sequence[slice], window: float) -> str:
-    spans = [
-        float(signal.stamps[run.stop - 1] - signal.stamps[run.start]) / NANOSECONDS
-        for run in stretches
-    ]
+def too_short(signal: str, longest: float, window: float) -> str:
+    """Return what to say of a signal whose longest run [s] is shorter than the filter's window."""
     return (
-        f"longest stretch of {signal.name!r} without a hole lasts {max(spans, default=0.0):.3g} s,"
+        f"longest stretch of {signal!r} without a hole lasts {longest:.3g} s,"
         f" less than the smoothing window of {window:g} s; record longer or narrow the window"
     )
+
+
+def _span(stamps: Int[Array, "N"]) -> float:
+    return float(stamps[-1] - stamps[0]) / NANOSECONDS
 
 
 def _since(stamps: Int[Array, "N"], origin: int) -> Float[Array, "N"]:
@@ -294,6 +352,12 @@ def _between(
     out: Float[Array, "M K"],
 ) -> None:
     """Write the points `share` of the way from row `before` to the next; the last has no next."""
+    nearest = np.rint(share)
+    rows = before + nearest.astype(np.intp)
+    one_clock = len(rows) and rows[-1] - rows[0] == len(rows) - 1 and (np.diff(rows) == 1).all()
+    if one_clock and np.abs(share - nearest).max() <= ALIKE:
+        out[:] = values[rows[0] : rows[-1] + 1]
+        return
     np.take(values, before, axis=0, out=out, mode="clip")
     step = np.take(values, before + 1, axis=0, mode="clip")
     step -= out

@@ -18,7 +18,8 @@ import numpy as np
 from ftcal.contact import ContactSchedule
 from ftcal.errors import DataError, RobotError
 from ftcal.motion import STANDARD_GRAVITY
-from ftcal.pairing import FtChannel, SignalOptions, matched_channels, pair
+from ftcal.paired import pair
+from ftcal.pairing import FtChannel, SignalOptions, matched_channels
 from ftcal.recording import Finding, Recording
 from ftcal.ridge import scaling_map
 from ftcal.robot import Robot

@@ -23,7 +23,7 @@ from ftcal.samples import Samples
 from ftcal.second_validation import MIXED, WORKBENCH, Candidate, SecondValidation
 from ftcal.sensor import AXES, UNITS
 from ftcal.study import SensorStudy, StudyOutcome
-from ftcal.validate import Envelope, held_out
+from ftcal.validate import Envelope, held_out_samples
 from ftcal.verdict import Verdict, identifiable
 
 if TYPE_CHECKING:
@@ -159,7 +159,7 @@ def residual_noise(
     coefficients: Float[Array, "6 P"], segments: Sequence[Samples], study: SensorStudy
 ) -> Noise:
     """Return what a matrix leaves over on all recordings, aligned on each: size and memory."""
-    read = [held_out(s, coefficients, study.channel.workbench) for s in segments]
+    read = [held_out_samples(s, coefficients, study.channel.workbench) for s in segments]
     left = [piece.in_situ - piece.model for piece in read]
     sd = np.sqrt(np.mean(np.concatenate(left) ** 2, axis=0))
     least = 1e-12 * study.channel.workbench.full_scale

@@ -6,26 +6,28 @@ into memory side by side, and need not.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, overload
+from typing import overload
 
 from ftcal import logs
 from ftcal.config import Job, RecordingSection
 from ftcal.errors import JobError
+from ftcal.gathering import PairedSensor
 from ftcal.health import examine
-from ftcal.pairing import FtChannel, Paired
+from ftcal.logs.pieces import Pieces, WholeLog, span
+from ftcal.pairing import FtChannel
 from ftcal.progress import Steps
 from ftcal.recording import Finding, Recording
 from ftcal.robot import Robot
 
-if TYPE_CHECKING:
-    from jaxtyping import Float
-    from numpy import ndarray as Array
-
 KEPT = 64 * 1024**2
 """Bytes of recordings that are kept in memory."""
+
+
+IN_MEMORY = 128 * 1024**2
+"""Bytes of a log, as numbers, beyond which it is read twice and in pieces instead of once."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -40,35 +42,40 @@ class PairedTake:
     """Seconds at which the offset of a sensor steps, given or found."""
     leave_out: dict[str, tuple[tuple[float, float], ...]]
     """Seconds in which a sensor is not trained on, given or found."""
-    temperatures: dict[str, Float[Array, "N"]]
-    """All readings of the thermometer of every sensor that has one [degree Celsius]."""
-    sensors: dict[str, Paired]
+    warmth: dict[str, tuple[int, float]]
+    """Readings of every thermometer: how many, and their mean [degree Celsius]."""
+    sensors: dict[str, PairedSensor]
     """Usable samples of every sensor, their temperature counted from zero."""
 
     def section(self, given: RecordingSection) -> RecordingSection:
         """Return the recording's section of the job with what was found in it."""
         return given.model_copy(update={"breaks": self.breaks, "leave_out": self.leave_out})
 
+    def thinned(self, most: int) -> PairedTake:
+        """Return the recording with at most so many samples of each sensor for eyes."""
+        return replace(
+            self, sensors={name: one.thinned(most) for name, one in self.sensors.items()}
+        )
+
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Logs(Mapping[str, Recording]):
-    """The recordings of a job by name, each read when it is looked at; the latest is kept."""
+class Logs:
+    """The recordings of a job by name, some seconds of which are read when they are looked at."""
 
     job: Job
-    latest: dict[str, Recording] = field(default_factory=dict, repr=False)
+    seen: dict[tuple[str, float, float], Recording] = field(default_factory=dict, repr=False)
 
-    def __getitem__(self, name: str) -> Recording:
-        if name not in self.latest:
+    def between(self, name: str, start: float, stop: float) -> Recording:
+        """Return the samples of a recording in [start, stop) seconds; kept until others are asked.
+
+        Raises `FtcalError` as `opened` does, `KeyError` for an unknown name.
+        """
+        if (name, start, stop) not in self.seen:
             section = {section.label: section for section in self.job.recordings}[name]
-            self.latest.clear()
-            self.latest[name] = _read(self.job, section)
-        return self.latest[name]
-
-    def __iter__(self) -> Iterator[str]:
-        return (section.label for section in self.job.recordings)
-
-    def __len__(self) -> int:
-        return len(self.job.recordings)
+            self.seen.clear()
+            log = opened(self.job, section)
+            self.seen[name, start, stop] = span(log, start, stop)
+        return self.seen[name, start, stop]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -124,7 +131,7 @@ class Takes(Sequence[Recording]):
         at = range(len(self))[which]
         if isinstance(at, range):
             return [self[i] for i in at]
-        return self.kept.get(at) or _read(self.job, self.job.recordings[at])
+        return self.kept.get(at) or read_log(self.job, self.job.recordings[at])
 
     def __iter__(self) -> Iterator[Recording]:
         return (self[i] for i in range(len(self)))
@@ -138,16 +145,27 @@ def log_of(job: Job, section: RecordingSection) -> Path:
     return path
 
 
+def opened(job: Job, section: RecordingSection) -> Pieces:
+    """Return the log of a recording, opened; in memory as a whole where it is small.
+
+    Raises `JobError` where it is missing, `LogError` where it cannot be believed.
+    """
+    path = log_of(job, section)
+    if logs.weight(path) <= IN_MEMORY:
+        return WholeLog(read_log(job, section))
+    return logs.in_pieces(path, section.layout(), name=section.label)
+
+
 def examined(
     job: Job, robot: Robot, channels: Sequence[FtChannel], section: RecordingSection
 ) -> tuple[Recording, tuple[Finding, ...]]:
     """Return one recording of a job and what is wrong with it; raises as `Takes.read`."""
-    recording = _read(job, section)
+    recording = read_log(job, section)
     firmware = {channel.signal: channel.workbench.firmware for channel in channels}
     found = examine(recording, sensors=firmware, robot=robot)
     return recording, (*recording.findings, *found)
 
 
-def _read(job: Job, section: RecordingSection) -> Recording:
+def read_log(job: Job, section: RecordingSection) -> Recording:
     """Return one recording of a job."""
     return logs.read(log_of(job, section), section.layout(), name=section.label)

@@ -9,16 +9,19 @@ radians look like a robot that hardly moves, which a robot may do: not noticed h
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ftcal.blocks import Selection
 from ftcal.logs.units import STANDARD_G, inertial_columns
-from ftcal.recording import NANOSECONDS, Finding, Recording, Signal
+from ftcal.recording import Signal
 from ftcal.robot import Joint, Robot
+from ftcal.turns import Turns
 
 if TYPE_CHECKING:
-    from jaxtyping import Float
+    from jaxtyping import Float, Int
     from numpy import ndarray as Array
 
 ONE_G = 0.2
@@ -30,70 +33,67 @@ SLOWEST, FASTEST = 0.9, 1e-5
 LIKE = 2.0
 """Ratio within which the turn of gravity and that of the gyroscope count as alike."""
 
-ALIGNED = 0.8
-"""Least correlation of both turns from which their ratio is believed."""
-
-LAG = 0.2
-"""Time over which gravity's turn is taken [s]: longer than vibration, shorter than a motion."""
-
-LEAST_TURN = 0.02
-"""Root mean square turn within LAG [rad] that a gyroscope can be judged by."""
-
 ENOUGH = 20
 """Samples without which nothing is doubted."""
 
-
-def doubted_units(recording: Recording, robot: Robot | None = None) -> tuple[Finding, ...]:
-    """Return the signals whose values or stamps look as if read in a wrong unit.
-
-    With a `robot` its joints are judged by their limits; without one, by whether most columns leave
-    a full turn either way.
-    """
-    found = []
-    for signal in (*recording.joints, *recording.channels):
-        found += [(signal, message) for message in _stamps(signal)]
-    for signal in recording.joints:
-        found += [(signal, message) for message in _angles(signal, robot)]
-    for signal in recording.imus:
-        found += [(signal, message) for message in _inertial(signal)]
-    return tuple(
-        Finding("unit", s.name, float(t[0]), float(t[-1]), False, f"{s.name}: {message}")
-        for s, message in found
-        for t in (recording.seconds(s),)
-    )
+ROOM = 1 << 17
+"""Samples of an imu whose median is exact."""
 
 
-def _stamps(signal: Signal) -> Iterator[str]:
-    if len(signal) < ENOUGH:
+def doubted_stamps(count: int, period: float) -> Iterator[str]:
+    """Yield what is doubtful about the clock of a signal, from its median period [s]."""
+    if count < ENOUGH:
         return
-    if signal.period >= SLOWEST:
+    if period >= SLOWEST:
         yield (
-            f"a sample every {signal.period:.3g} s: stamps in milliseconds or microseconds? say"
+            f"a sample every {period:.3g} s: stamps in milliseconds or microseconds? say"
             ' time_unit = "ms" or "us"'
         )
-    if signal.period <= FASTEST:
-        yield f'a sample every {signal.period:.3g} s: stamps in seconds? say time_unit = "s"'
+    if period <= FASTEST:
+        yield f'a sample every {period:.3g} s: stamps in seconds? say time_unit = "s"'
 
 
-def _angles(signal: Signal, robot: Robot | None) -> Iterator[str]:
-    if len(signal) < ENOUGH:
-        return
-    farthest = np.abs(signal.values).max(axis=0)
-    columns = dict(zip(signal.columns, farthest.tolist(), strict=True))
-    if robot is not None:
-        known = {name: robot.joints[name] for name in columns if name in robot.joints}
-        limits = {name: 2.0 * _limit(joint) for name, joint in known.items()}
-        beyond = [n for n, limit in limits.items() if columns[n] > max(limit, 2.0 * np.pi)]
-        doubted = bool(beyond)
-    else:
-        beyond = [name for name, angle in columns.items() if angle > 2.0 * np.pi]
-        doubted = 2 * len(beyond) > len(columns)
-    if doubted:
-        worst = max(beyond, key=columns.__getitem__)
-        yield (
-            f"joint {worst!r} reaches {columns[worst]:.4g} rad, {len(beyond)} of"
-            f' {len(columns)} go beyond a full turn: degrees? say angle = "deg"'
-        )
+@dataclass(slots=True)
+class Angles:
+    """How far the joints of a signal went."""
+
+    columns: tuple[str, ...]
+    """Joint of each column."""
+    robot: Robot | None
+    """Its joints are judged by their limits; without one, by whether most leave a full turn."""
+    count: int = 0
+    """Samples seen."""
+    farthest: Float[Array, "J"] = field(init=False)
+    """Greatest magnitude of each column [rad], NaN where one was."""
+
+    def __post_init__(self) -> None:
+        self.farthest = np.zeros(len(self.columns))
+
+    def see(self, columns: Float[Array, "J B"]) -> None:
+        """Take note of the next samples, of which there is one at least."""
+        self.count += columns.shape[1]
+        ends = columns.max(axis=1), -columns.min(axis=1)
+        self.farthest = np.maximum(self.farthest, np.maximum(*ends))
+
+    def doubts(self) -> Iterator[str]:
+        """Yield what is doubtful about the unit of the joints."""
+        if self.count < ENOUGH:
+            return
+        columns = dict(zip(self.columns, self.farthest.tolist(), strict=True))
+        if self.robot is not None:
+            joints = self.robot.joints
+            limits = {name: 2.0 * _limit(joints[name]) for name in columns if name in joints}
+            beyond = [n for n, limit in limits.items() if columns[n] > max(limit, 2.0 * np.pi)]
+            doubted = bool(beyond)
+        else:
+            beyond = [name for name, angle in columns.items() if angle > 2.0 * np.pi]
+            doubted = 2 * len(beyond) > len(columns)
+        if doubted:
+            worst = max(beyond, key=columns.__getitem__)
+            yield (
+                f"joint {worst!r} reaches {columns[worst]:.4g} rad, {len(beyond)} of"
+                f' {len(columns)} go beyond a full turn: degrees? say angle = "deg"'
+            )
 
 
 def _limit(joint: Joint) -> float:
@@ -102,57 +102,46 @@ def _limit(joint: Joint) -> float:
     return max(abs(joint.lower), abs(joint.upper)) if turns else float("inf")
 
 
-def _inertial(signal: Signal) -> Iterator[str]:
-    accelerations, velocities = inertial_columns(signal)
-    if len(signal) < ENOUGH or not accelerations:
-        return
-    acceleration = signal.values[:, accelerations]
-    usual = float(np.median(np.linalg.norm(acceleration, axis=1)))
-    known = {
-        1.0: 'g? say acceleration = "g"',
-        STANDARD_G**2: "already m/s^2? leave acceleration out",
-    }
-    near = [hint for size, hint in known.items() if abs(usual / size - 1.0) < ONE_G]
-    if abs(usual / STANDARD_G - 1.0) >= ONE_G:
-        hint = near[0] if near else "check its unit, and which of its columns are acceleration"
-        yield f"feels {usual:.4g} m/s^2 at the median, gravity is {STANDARD_G:.4g}: {hint}"
-    if not velocities:
-        return
-    ratio = turn_ratio(signal, acceleration, signal.values[:, velocities])
-    if 1.0 / LIKE < ratio * 180.0 / np.pi < LIKE:
-        yield (
-            f"its gyroscope turns {1.0 / ratio:.3g} times as fast as gravity does about it: deg/s?"
-            ' say angular_velocity = "deg/s"'
-        )
-    if 1.0 / LIKE < ratio * np.pi / 180.0 < LIKE:
-        yield (
-            f"gravity turns {ratio:.3g} times as fast as its gyroscope says: already rad/s? leave"
-            " angular_velocity out"
-        )
+class Inertia:
+    """What an imu felt at the median, and how fast gravity turned about it.
 
-
-def turn_ratio(
-    signal: Signal, acceleration: Float[Array, "N 3"], velocity: Float[Array, "N 3"]
-) -> float:
-    """Return how fast gravity turns about an imu, over what its gyroscope says; NaN: undecided.
-
-    The direction u of a vector that is constant in the world obeys du/dt = -omega x u in a turning
-    frame; the ratio is the regression of its turn within LAG on that of omega, through zero.
+    The median of more than `ROOM` samples is that of those at regular steps (`Selection`).
     """
-    lag = max(round(LAG / signal.period), 1)
-    if len(signal) <= lag:
-        return float("nan")
-    length = np.linalg.norm(acceleration, axis=1, keepdims=True)
-    u = acceleration / np.where(length > 0.0, length, 1.0)
-    stamps = (signal.stamps - signal.stamps[0]) / NANOSECONDS
-    step = stamps[lag:] - stamps[:-lag]
-    whole = step < 1.5 * lag * signal.period  # no hole in between
-    total = np.vstack([np.zeros(3), np.cumsum(velocity, axis=0)])
-    mean = (total[lag : len(signal)] - total[: len(signal) - lag]) / lag
-    turn = (u[lag:] - u[:-lag])[whole]
-    said = (-step[:, None] * np.cross(mean, 0.5 * (u[lag:] + u[:-lag])))[whole]
-    sizes = float((turn**2).sum()), float((said**2).sum())
-    if len(turn) == 0 or sizes[0] < len(turn) * LEAST_TURN**2 or sizes[1] == 0.0:
-        return float("nan")
-    common = float((turn * said).sum())
-    return common / sizes[1] if common > ALIGNED * np.sqrt(sizes[0] * sizes[1]) else float("nan")
+
+    def __init__(self, signal: Signal, period: float) -> None:
+        """Expect samples of `signal`, whose columns are asked for, at a median period [s]."""
+        self.accelerations, velocities = inertial_columns(signal)
+        self.felt = Selection(ROOM)
+        self.turns = Turns(self.accelerations, velocities, period) if velocities else None
+
+    def see(self, columns: Float[Array, "K B"], stamps: Int[Array, "B"]) -> None:
+        """Take note of the next samples and their stamps [ns]."""
+        if self.accelerations:
+            self.felt.see(columns[self.accelerations])
+            if self.turns is not None:
+                self.turns.see(stamps, columns)
+
+    def doubts(self) -> Iterator[str]:
+        """Yield what is doubtful about the units of the imu."""
+        if self.felt.seen < ENOUGH:
+            return
+        usual = float(np.median(np.linalg.norm(self.felt.columns, axis=0)))
+        known = {
+            1.0: 'g? say acceleration = "g"',
+            STANDARD_G**2: "already m/s^2? leave acceleration out",
+        }
+        near = [hint for size, hint in known.items() if abs(usual / size - 1.0) < ONE_G]
+        if abs(usual / STANDARD_G - 1.0) >= ONE_G:
+            hint = near[0] if near else "check its unit, and which of its columns are acceleration"
+            yield f"feels {usual:.4g} m/s^2 at the median, gravity is {STANDARD_G:.4g}: {hint}"
+        ratio = self.turns.ratio() if self.turns is not None else float("nan")
+        if 1.0 / LIKE < ratio * 180.0 / np.pi < LIKE:
+            yield (
+                f"its gyroscope turns {1.0 / ratio:.3g} times as fast as gravity does about it:"
+                ' deg/s? say angular_velocity = "deg/s"'
+            )
+        if 1.0 / LIKE < ratio * np.pi / 180.0 < LIKE:
+            yield (
+                f"gravity turns {ratio:.3g} times as fast as its gyroscope says: already rad/s?"
+                " leave angular_velocity out"
+            )

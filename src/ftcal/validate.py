@@ -1,33 +1,26 @@
 """Judging a calibration on samples it never saw, against the Workbench matrix.
 
 Every held-out piece is re-aligned first: both matrices get the offset that fits the piece best, as
-the paper's first validation does. Residuals are sensor minus model.
+the paper's first validation does. Residuals are sensor minus model. What they add up to comes from
+the moments of all samples; the samples that are kept draw them, and give the paper's norm.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ftcal.bootstrap import BLOCK, MOST_BLOCKS, block_starts, bootstrap_intervals, resampled
 from ftcal.samples import Samples
+from ftcal.segments import Segment, loads
 from ftcal.sensor import AXES, UNITS, Workbench
 
 if TYPE_CHECKING:
     from jaxtyping import Float
     from numpy import ndarray as Array
-
-BLOCK = 2.0
-"""Length [s] of the blocks that the bootstrap resamples: longer than the smoothing remembers."""
-
-MOST_BLOCKS = 500
-"""More blocks tell the interval no better: they get longer instead."""
-
-RESAMPLES = 2000
-"""Bootstrap resamples: the ends of a 90 % interval then move by about 1 % of its width."""
 
 GROUPS: dict[str, slice] = {
     **{axis: slice(i, i + 1) for i, axis in enumerate(AXES)},
@@ -36,8 +29,38 @@ GROUPS: dict[str, slice] = {
 }
 """What is scored: every axis, and force and torque together."""
 
+TWICE = np.vstack([np.eye(6), np.eye(6)])
+"""The model's wrench, for both readings."""
 
-@dataclass(frozen=True, slots=True)
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sums:
+    """What all samples of a held-out piece add up to, however few of them are kept."""
+
+    count: int
+    """Samples."""
+    span: tuple[float, float]
+    """Times of the first and the last [s]."""
+    at: Float[Array, "B"]
+    """Middle of each part of it [s]: a cell, or a block of the bootstrap."""
+    squares: Float[Array, "B 12"]
+    """Sum of the squared residuals over each part [N^2, Nm^2]: new matrix, then Workbench."""
+    spread: Float[Array, "12"]
+    """Sum of the squares of each reading about its mean: new matrix, then Workbench."""
+    loads: Float[Array, "2 8"]
+    """Least and greatest model wrench: `GROUPS` in order [N, Nm]."""
+
+    @property
+    def seconds(self) -> float:
+        """From the first sample to the last."""
+        return self.span[1] - self.span[0]
+
+    def blocks(self, block: float) -> Float[Array, "B 12"]:
+        """Return the squares over blocks of about `block` seconds, neighbouring parts together."""
+        return np.add.reduceat(self.squares, block_starts(self.at, *self.span, block))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class HeldOut:
     """A piece of a recording read by both matrices, each aligned to the model's mean."""
 
@@ -45,32 +68,114 @@ class HeldOut:
     start: float
     stop: float
     time: Float[Array, "N"]
-    """Seconds since the start of the recording."""
+    """Seconds since the start of the recording; of the samples kept."""
     model: Float[Array, "N 6"]
     """Model wrench [N, Nm]."""
     workbench: Float[Array, "N 6"]
     """What the Workbench matrix reads [N, Nm]."""
     in_situ: Float[Array, "N 6"]
     """What the new matrix reads [N, Nm]."""
+    sums: Sums
+    """Over all samples."""
+
+    @property
+    def each(self) -> float:
+        """How many samples one that is kept stands for."""
+        return self.sums.count / max(len(self.time), 1)
+
+    @property
+    def step(self) -> int:
+        """One sample in so many is kept."""
+        return round(self.each)
+
+    @staticmethod
+    def of_all(
+        recording: str,
+        start: float,
+        stop: float,
+        time: Float[Array, "N"],
+        model: Float[Array, "N 6"],
+        workbench: Float[Array, "N 6"],
+        in_situ: Float[Array, "N 6"],
+    ) -> HeldOut:
+        """Return a piece of which all samples are there, at least one."""
+        span = (float(time[0]), float(time[-1]))
+        both = np.concatenate([in_situ, workbench], axis=1)
+        starts = block_starts(time, *span, BLOCK)
+        ends = np.append(starts[1:], len(time)) - 1
+        sums = Sums(
+            len(time),
+            span,
+            0.5 * (time[starts] + time[ends]),
+            np.add.reduceat((both - np.concatenate([model, model], axis=1)) ** 2, starts),
+            column_sums((both - column_means(both)) ** 2),
+            loads(model),
+        )
+        return HeldOut(recording, start, stop, time, model, workbench, in_situ, sums)
 
 
-def held_out(samples: Samples, coefficients: Float[Array, "6 P"], workbench: Workbench) -> HeldOut:
-    """Return `samples` read by `coefficients` (`[C, k]`) and by the Workbench matrix."""
-    inputs = samples.rows()[:, :-6]
-
-    def read(gain: Float[Array, "6 P"]) -> Float[Array, "N 6"]:
-        wrench = inputs[:, : gain.shape[1]] @ gain.T
-        return np.asarray(wrench + column_means(samples.wrench - wrench))
-
+def held_out(segment: Segment, coefficients: Float[Array, "6 P"], workbench: Workbench) -> HeldOut:
+    """Return a segment read by `coefficients` (`[C, k]`) and by the Workbench matrix."""
+    kept, cells = segment.samples, segment.cells
+    new, old = (filled(gain, kept) for gain in (coefficients, workbench.gain))
+    whole = cells.total()
+    to_reading = np.hstack([np.concatenate([new, old]), np.zeros((12, 6))])
+    to_residual = to_reading - np.hstack([np.zeros((12, whole.mean.size - 6)), TWICE])
+    apart = (cells.mean - whole.mean) @ to_residual.T
+    # the diagonal of `R S R^T` of all cells at once: one product of two matrices
+    both = np.einsum("id,ie->dei", to_residual, to_residual).reshape(-1, 12)
+    inside = cells.scatter.reshape(len(cells), -1) @ both
+    sums = Sums(
+        len(segment),
+        (float(segment.spans[0, 0]), float(segment.spans[-1, 1])),
+        segment.spans.mean(axis=1),
+        np.maximum(inside, 0.0) + cells.count[:, None] * apart**2,
+        np.maximum(np.diag(whole.map(to_reading).scatter), 0.0),
+        segment.envelope,
+    )
+    offset = to_residual @ whole.mean
     return HeldOut(
+        kept.recording,
+        kept.start,
+        kept.stop,
+        kept.time,
+        kept.wrench,
+        read(kept, old) - offset[6:],
+        read(kept, new) - offset[:6],
+        sums,
+    )
+
+
+def held_out_samples(
+    samples: Samples, coefficients: Float[Array, "6 P"], workbench: Workbench
+) -> HeldOut:
+    """Return samples, all that there are, read as `held_out` reads a segment."""
+    new, old = (read(samples, filled(gain, samples)) for gain in (coefficients, workbench.gain))
+    model = samples.wrench
+    return HeldOut.of_all(
         samples.recording,
         samples.start,
         samples.stop,
         samples.time,
-        samples.wrench,
-        read(workbench.gain),
-        read(coefficients),
+        model,
+        old + column_means(model - old),
+        new + column_means(model - new),
     )
+
+
+def filled(gain: Float[Array, "6 P"], samples: Samples) -> Float[Array, "6 Q"]:
+    """Return a gain with a zero for every input of the samples that it does not know."""
+    inputs = samples.channels.shape[1] + (samples.temperature is not None)
+    return np.pad(gain, ((0, 0), (0, inputs - gain.shape[1])))
+
+
+def read(samples: Samples, gain: Float[Array, "6 Q"]) -> Float[Array, "N 6"]:
+    """Return what `[C, k]` reads, without an offset."""
+    channels = samples.channels.shape[1]
+    wrench = samples.channels @ gain[:, :channels].T
+    if samples.temperature is not None:
+        wrench += np.outer(samples.temperature, gain[:, channels])
+    return np.asarray(wrench)
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,105 +238,77 @@ def magnitude(values: Float[Array, "N D"]) -> Float[Array, "N"]:
     return np.asarray(np.sqrt(np.einsum("ij,ij->i", values, values)))  # thrice as fast as `norm`
 
 
-def block_sums(
-    pieces: Sequence[HeldOut], block: float
-) -> tuple[Float[Array, "B 6"], Float[Array, "B 6"]]:
-    """Return the sums of squared residuals per block in time: new matrix, Workbench."""
-    new: list[Array] = []
-    old: list[Array] = []
-    spans = [float(piece.time[-1] - piece.time[0]) for piece in pieces if len(piece.time)]
-    block = max(block, sum(spans) / MOST_BLOCKS)
-    for piece in pieces:
-        if not len(piece.time):
-            continue
-        span = piece.time[-1] - piece.time[0]
-        count = max(1, round(span / block))
-        width = max(span / count, np.finfo(float).tiny)
-        index = np.minimum(((piece.time - piece.time[0]) / width).astype(int), count - 1)
-        for into, reading in ((new, piece.in_situ), (old, piece.workbench)):
-            squares = (reading - piece.model) ** 2
-            sums = [np.bincount(index, column, minlength=count) for column in squares.T]
-            into.append(np.stack(sums, axis=1))
-    return np.concatenate(new), np.concatenate(old)
-
-
-@lru_cache(maxsize=8)
-def resampled(blocks: int, seed: int) -> Float[Array, "R B"]:
-    """Return how often each block is drawn in each bootstrap resample; kept, not to be changed."""
-    generator = np.random.default_rng(seed)
-    drawn = generator.multinomial(blocks, np.full(blocks, 1.0 / blocks), size=RESAMPLES)
-    drawn.flags.writeable = False
-    return drawn
-
-
-def bootstrap_interval(
-    new: Float[Array, "B"], old: Float[Array, "B"], weights: Float[Array, "R B"]
-) -> tuple[float, float]:
-    """Return the 90 % interval of `100 sqrt(sum new / sum old)` over resampled blocks.
-
-    B. Efron, R. Tibshirani, *An Introduction to the Bootstrap*, 1993, section 13.3 (percentile),
-    blocks as in section 8.6. Fewer than three blocks say nothing: (0, inf).
-    """
-    if len(new) < 3:
-        return (0.0, float("inf"))
-    ratio = np.sqrt((weights @ new) / np.maximum(weights @ old, np.finfo(float).tiny))
-    low, high = np.quantile(ratio, [0.05, 0.95])
-    return (100.0 * float(low), 100.0 * float(high))
-
-
 Envelope = dict[str, tuple[float, float]]
 """Smallest and largest load of each of `GROUPS` [N, Nm]."""
 
 
 def load_envelope(wrench: Float[Array, "N 6"]) -> Envelope:
     """Return the range of each axis of a model wrench, and of force and torque in magnitude."""
-    ranges = {name: magnitude(wrench[:, columns]) for name, columns in GROUPS.items()}
-    return {name: (float(load.min()), float(load.max())) for name, load in ranges.items()}
+    return named(loads(wrench))
 
 
-def score(
-    kind: str,
-    pieces: Sequence[HeldOut],
-    trained: Envelope,
-    *,
-    block: float = BLOCK,
-    seed: int = 0,
-) -> Scores:
+def named(ranges: Float[Array, "2 8"]) -> Envelope:
+    """Return the ranges of `segments.loads` by name."""
+    return {name: (float(a), float(b)) for name, (a, b) in zip(GROUPS, ranges.T, strict=True)}
+
+
+def grouped(table: Float[Array, "*N 6"]) -> Float[Array, "*N 8"]:
+    """Return the sums of the columns of each of `GROUPS`."""
+    sums = [table[..., columns].sum(axis=-1, keepdims=True) for columns in GROUPS.values()]
+    return np.concatenate(sums, axis=-1)
+
+
+def score(kind: str, pieces: Sequence[HeldOut], trained: Envelope, *, seed: int = 0) -> Scores:
     """Return the scores of held-out `pieces`; `trained` is the load envelope of training.
 
     The seed makes the bootstrap repeatable: two runs on the same data print the same interval.
     """
-    new, old = block_sums(pieces, block)
-    model = np.concatenate([piece.model for piece in pieces])
-    absolute, spread = np.zeros((2, 6)), np.zeros((2, 6))
-    for piece in pieces:
-        for which, reading in enumerate((piece.in_situ, piece.workbench)):
-            absolute[which] += column_sums(np.abs(reading - piece.model))
-            spread[which] += column_sums((reading - column_means(reading)) ** 2)
+    every = [piece.sums for piece in pieces]
+    seconds, samples = sum(one.seconds for one in every), sum(one.count for one in every)
+    block = max(BLOCK, seconds / MOST_BLOCKS)
+    squares = np.concatenate([one.blocks(block) for one in every]).reshape(-1, 2, 6)
+    new, old = np.moveaxis(grouped(squares), 1, 0)
+    intervals = bootstrap_intervals(new, old, resampled(len(new), seed))
+    rms, workbench_rms = np.sqrt(np.stack([new, old]).sum(axis=1) / samples)
+    moved, reference = grouped(np.sum([one.spread for one in every], axis=0).reshape(2, 6))
+    tested = [np.array([one.loads[i] for one in every]) for i in (0, 1)]
+    met = named(np.array([tested[0].min(axis=0), tested[1].max(axis=0)]))
+    limits = np.array([trained[name] for name in GROUPS])
+    absolute, whole, beyond = _of_kept(pieces, limits)
     table = {}
-    weights = resampled(len(new), seed)
-    for name, columns in GROUPS.items():
-        squares = new[:, columns].sum(axis=1), old[:, columns].sum(axis=1)
-        rms, workbench_rms = (float(np.sqrt(s.sum() / len(model))) for s in squares)
-        mine, whole = (float(one[columns].sum()) for one in absolute)
-        moved, reference = (float(one[columns].sum()) for one in spread)
-        met = magnitude(model[:, columns])
-        low, high = trained[name]
+    for i, (name, columns) in enumerate(GROUPS.items()):
         table[name] = Score(
             name,
             UNITS[columns.start],
-            rms,
-            workbench_rms,
-            percentage(rms, workbench_rms),
-            bootstrap_interval(*squares, weights),
-            percentage(mine, whole),
-            float(np.sqrt(moved / reference)) if reference > 0 else float("inf"),
-            (low, high),
-            (float(met.min()), float(met.max())),
-            float(np.mean((met < low) | (met > high))),
+            float(rms[i]),
+            float(workbench_rms[i]),
+            percentage(float(rms[i]), float(workbench_rms[i])),
+            intervals[i],
+            percentage(float(absolute[i]), float(whole[i])),
+            float(np.sqrt(moved[i] / reference[i])) if reference[i] > 0 else float("inf"),
+            trained[name],
+            met[name],
+            float(beyond[i]) / samples,
         )
-    seconds = sum(float(p.time[-1] - p.time[0]) for p in pieces if len(p.time))
-    return Scores(kind, tuple(pieces), table, len(model), seconds, len(new))
+    return Scores(kind, tuple(pieces), table, samples, seconds, len(new))
+
+
+def _of_kept(
+    pieces: Sequence[HeldOut], limits: Float[Array, "8 2"]
+) -> tuple[Float[Array, "8"], Float[Array, "8"], Float[Array, "8"]]:
+    """Return `sum |e|` of both matrices, and how many samples lie beyond `limits`.
+
+    Samples that are kept count for those that are not.
+    """
+    absolute, beyond = np.zeros((2, 6)), np.zeros(8)
+    for piece in pieces:
+        for which, reading in enumerate((piece.in_situ, piece.workbench)):
+            absolute[which] += piece.each * column_sums(np.abs(reading - piece.model))
+        if (piece.sums.loads[0] < limits[:, 0]).any() or (piece.sums.loads[1] > limits[:, 1]).any():
+            met = np.column_stack([magnitude(piece.model[:, some]) for some in GROUPS.values()])
+            beyond += piece.each * column_sums((met < limits[:, 0]) | (met > limits[:, 1]))
+    mine, whole = grouped(absolute)
+    return mine, whole, beyond
 
 
 def percentage(value: float, reference: float) -> float:

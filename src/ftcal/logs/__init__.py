@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from ftcal.logs.pieces import Pieces
     from ftcal.recording import Recording
 
-__all__ = ["Layout", "in_pieces", "read"]
+__all__ = ["Layout", "in_pieces", "read", "weight"]
 
 
 def read(path: Path, layout: Layout = PLAIN, *, name: str | None = None) -> Recording:
@@ -36,24 +36,54 @@ def read(path: Path, layout: Layout = PLAIN, *, name: str | None = None) -> Reco
 def in_pieces(path: Path, layout: Layout = PLAIN, *, name: str | None = None) -> Pieces:
     """Return the log at `path`, opened to be read a span of time at a time in constant memory.
 
-    CSV and Parquet are; any other format comes as one piece. The pieces put together are what
-    `read` returns. Raises `LogError` as `read` does; what only the numbers show, on the way.
+    YARP folders, MCAP, CSV and Parquet are; of any other format the whole is in memory. The pieces
+    put together are what `read` returns. Raises `LogError` as `read` does; what only the numbers
+    show, on the way.
     """
     from ftcal.logs import ros, tables, yarp
     from ftcal.logs.pieces import WholeLog
+    from ftcal.logs.ros_pieces import ros_pieces
     from ftcal.logs.tables_pieces import tables_pieces
+    from ftcal.logs.yarp_pieces import yarp_pieces
 
     path = Path(path)
     try:
+        if path.name == yarp.SAMPLES and path.is_file():
+            return yarp_pieces(path.parent, layout, name=name)
+        if path.is_dir() and yarp.holds(path):
+            return yarp_pieces(path, layout, name=name)
+        if ros.holds(path):
+            return ros_pieces(path, layout, name=name) or WholeLog(read(path, layout, name=name))
         if path.is_dir():
-            other = yarp.holds(path) or ros.holds(path)
-            streams = not other and bool(tables.files(path))
+            streams = bool(tables.files(path))
         else:
             streams = path.is_file() and path.suffix.lower() in tables.SUFFIXES
         opened = tables_pieces(path, layout, name=name) if streams else None
     except OSError as error:
         raise LogError(f"{path}: {error.strerror or error}") from error
     return opened or WholeLog(read(path, layout, name=name))
+
+
+def weight(path: Path) -> int:
+    """Return about how many bytes the numbers of a log take: what Parquet says, else its files.
+
+    Nothing is refused here: zero of what cannot be looked at.
+    """
+    import pyarrow as pa
+    from pyarrow import parquet
+
+    path = Path(path)
+    try:
+        files = [file for file in path.rglob("*") if file.is_file()] if path.is_dir() else [path]
+        total = 0
+        for file in files:
+            total += file.stat().st_size
+            if file.suffix.lower() == ".parquet":
+                said = parquet.read_metadata(file)
+                total = max(total, 8 * said.num_rows * said.num_columns)
+    except (OSError, pa.ArrowException):
+        return 0
+    return total
 
 
 def _as_logged(path: Path, layout: Layout, name: str | None) -> Recording:

@@ -9,8 +9,11 @@ board's first group is the joint positions. The last line is often cut where the
 from __future__ import annotations
 
 import re
-from collections.abc import Collection
-from dataclasses import dataclass, replace
+from collections import deque
+from collections.abc import Callable, Collection, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
+from itertools import islice
 from os import SEEK_END
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -21,7 +24,6 @@ from pyarrow import compute, csv
 
 from ftcal.errors import LogError
 from ftcal.logs.columns import SECONDS, decimal_nanoseconds, matrix
-from ftcal.recording import NANOSECONDS
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Int
@@ -30,6 +32,9 @@ if TYPE_CHECKING:
 SAMPLES, CONNECTION = "data.log", "info.log"
 """The two files in the folder of a port."""
 
+BLOCK = 4 << 20
+"""Bytes of text that are read at a time where the log comes in pieces."""
+
 SEQUENCE_SIZE = 32768
 """The packet counter of a YARP envelope runs from 0 to 32767 and starts again."""
 
@@ -37,7 +42,8 @@ _MARKS = b"()[]ok"
 _EVENT = re.compile(r"^\[(\d+(?:\.\d+)?)\]\s+(\S+)\s+\[(connected|disconnected)\]\s*$")
 _UNIX_TIME = re.compile(rb"^[1-9]\d{8,9}\.\d{6,9}$")
 _TAIL = 1 << 16  # bytes, more than any line
-_BLOCK = 4 << 20  # bytes a thread parses at once: 1 MiB, the default, is a quarter slower
+_AHEAD = 2  # blocks that are parsed while one is used
+_PARSED = 4 << 20  # bytes a thread parses at once: 1 MiB, the default, is a quarter slower
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,12 +90,48 @@ class Samples:
     """Nanoseconds since the Unix epoch, as logged: repeated or disordered ones included."""
     values: Float[Array, "N K"]
     """The fields asked for, by column."""
-    truncated: bool
-    """Whether an incomplete last line was left out."""
 
 
-NOTHING = Samples(np.empty(0, np.int64), np.empty(0, np.int64), np.empty((0, 0)), False)
+NOTHING = Samples(np.empty(0, np.int64), np.empty(0, np.int64), np.empty((0, 0)))
 """What a port logs that nobody wrote to."""
+
+
+@dataclass(frozen=True, slots=True)
+class Form:
+    """What the ends of a `data.log` say of all its lines."""
+
+    used: tuple[int, ...] = ()
+    """Fields of a line that are values."""
+    status: tuple[int, ...] = ()
+    """Fields that say whether the values are good."""
+    width: int = 0
+    """Fields of a line."""
+    grouped: bool = False
+    """Whether values stand in brackets."""
+    size: int = 0
+    """Bytes of all whole lines."""
+    truncated: bool = False
+    """Whether an incomplete last line follows them."""
+
+
+def form(file: Path, *, both_stamps: bool | None, fields: Collection[int] | None = None) -> Form:
+    """Return the form of the lines of a `data.log`; without fields where no line is whole.
+
+    `fields` are the fields of a line that are values; None: the first group, or all after the
+    stamps where nothing is grouped. Raises `LogError` where the first line is no sample.
+    """
+    first, spare = _ends(file)
+    size = file.stat().st_size
+    if not first and not spare and size:
+        raise LogError(f"{file}, line 1: it is empty; cut the line")
+    if not first or spare == size:
+        return Form(truncated=spare > 0)
+    used, status, width = _used_columns(first, both_stamps)
+    if fields is not None:
+        used, status = list(fields), []
+    if not used:
+        raise LogError(f"{file}, line 1: no counter, time and values; is this a YARP log?")
+    return Form(tuple(used), tuple(status), width, b"(" in first, size - spare, spare > 0)
 
 
 def first_line(file: Path) -> bytes:
@@ -103,43 +145,66 @@ def numeric(file: Path) -> bool:
     return len(fields) > 2 and all(_is_number(field) for field in fields)
 
 
-def parse(
-    file: Path,
-    *,
-    both_stamps: bool | None,
-    scale: float = 1.0,
-    fields: Collection[int] | None = None,
-) -> Samples:
+def parse(file: Path, lines: Form, *, scale: float = 1.0) -> Samples:
     """Return the samples in the `data.log` at `file`, with values times `scale`.
 
-    `fields` are the fields of a line that are values; None: the first group, or all after the
-    stamps where nothing is grouped. Raises `LogError` naming the first line that is not like the
-    others, or not a number.
+    Raises `LogError` naming the first line that is not like the others, or not a number.
     """
-    first, spare = _ends(file)
-    grouped = b"(" in first
-    source: Any = str(file)  # Arrow reads plain numbers from disk with fewest copies
-    text = b""
-    if grouped or spare:
-        text = file.read_bytes()
-        text = text[: len(text) - spare].translate(None, _MARKS if grouped else b"")
-        source = pa.BufferReader(text)
-    if not first and not spare and file.stat().st_size:
-        raise LogError(f"{file}, line 1: it is empty; cut the line")
-    if not first or (spare and not text):
-        return replace(NOTHING, truncated=spare > 0)
-    used, status, width = _used_columns(first, both_stamps)
-    if fields is not None:
-        used, status = list(fields), []
-    if not used:
-        raise LogError(f"{file}, line 1: no counter, time and values; is this a YARP log?")
-    names = [str(column) for column in range(width)]
-    kinds = {0: pa.int64(), 1: SECONDS} | dict.fromkeys(used, pa.float64())
-    kinds |= dict.fromkeys(status, pa.string())
+    if not lines.width:
+        return NOTHING
+    if lines.grouped or lines.truncated:
+        with file.open("rb") as log:
+            return _block(log.read(lines.size), 0, lines, file, scale)
+    # Arrow reads plain numbers from disk with fewest copies
+    return _samples(str(file), lines, file, scale, file.read_bytes, 0)
+
+
+def blocks(file: Path, lines: Form, *, size: int, scale: float = 1.0) -> Iterator[Samples]:
+    """Yield what `parse` returns, about `size` bytes of whole lines at a time.
+
+    While one is used the next are parsed. Raises `LogError` as `parse` does, and where the file is
+    no longer what it was.
+    """
+    waiting: deque[Future[Samples]] = deque()
+    if not lines.size:
+        return
+    try:
+        with file.open("rb") as log, ThreadPoolExecutor(_AHEAD) as beside:
+            start = 0
+            while start < lines.size:
+                text = log.read(min(size, lines.size - start))
+                if not text.endswith(b"\n"):
+                    text += log.readline(lines.size - start - len(text))
+                if not text.endswith(b"\n"):
+                    raise LogError(f"{file}: it was changed while it was read; read it again")
+                if text.strip(b"\r\n"):
+                    waiting.append(beside.submit(_block, text, start, lines, file, scale))
+                start += len(text)
+                if len(waiting) > _AHEAD:
+                    yield waiting.popleft().result()
+            while waiting:
+                yield waiting.popleft().result()
+    except OSError as error:
+        raise LogError(f"{file}: {error.strerror or error}") from error
+
+
+def _block(text: bytes, start: int, lines: Form, file: Path, scale: float) -> Samples:
+    """Return the samples in the `text` of whole lines that begins at byte `start` of `file`."""
+    clean = text.translate(None, _MARKS) if lines.grouped else text
+    return _samples(pa.BufferReader(clean), lines, file, scale, lambda: clean, start)
+
+
+def _samples(
+    source: Any, lines: Form, file: Path, scale: float, clean: Callable[[], bytes], start: int
+) -> Samples:
+    """Return the samples in a `source` of lines without marks, whose text `clean` returns."""
+    names = [str(column) for column in range(lines.width)]
+    kinds = {0: pa.int64(), 1: SECONDS} | dict.fromkeys(lines.used, pa.float64())
+    kinds |= dict.fromkeys(lines.status, pa.string())
     try:
         table = csv.read_csv(
             source,
-            read_options=csv.ReadOptions(column_names=names, block_size=_BLOCK),
+            read_options=csv.ReadOptions(column_names=names, block_size=_PARSED),
             parse_options=csv.ParseOptions(delimiter=" ", quote_char=False),
             convert_options=csv.ConvertOptions(
                 column_types={names[column]: kind for column, kind in kinds.items()},
@@ -148,19 +213,19 @@ def parse(
             ),
         )
     except pa.ArrowException as error:
-        clean = text or file.read_bytes()
-        raise _culprit(clean, used, width, str(file), error) from error
-    for column in status:
+        raise _culprit(clean(), lines, file, error, start) from error
+    for column in lines.status:
         failed = compute.not_equal(table.column(names[column]), "")
         if compute.any(failed).as_py():
-            line = compute.index(failed, True).as_py() + 1
+            row = compute.index(failed, True).as_py()
+            filled = (n for n, line in enumerate(clean().split(b"\n")) if line.strip(b"\r"))
+            line = _lines_before(file, start) + next(islice(filled, row, None)) + 1
             raise LogError(f"{file}, line {line}: the motor board marks the positions as failed;"
                            " cut these lines")  # fmt: skip
     return Samples(
         table.column("0").to_numpy(),
         decimal_nanoseconds(table.column("1"), str(file)),
-        matrix([table.column(names[column]) for column in used], scale=scale),
-        spare > 0,
+        matrix([table.column(names[column]) for column in lines.used], scale=scale),
     )
 
 
@@ -203,56 +268,22 @@ def _is_number(field: bytes) -> bool:
     return True
 
 
-def _culprit(clean: bytes, used: list[int], width: int, where: str, error: Exception) -> LogError:
+def _lines_before(file: Path, byte: int) -> int:
+    with file.open("rb") as log:
+        return sum(log.read(min(BLOCK, byte - at)).count(b"\n") for at in range(0, byte, BLOCK))
+
+
+def _culprit(clean: bytes, lines: Form, file: Path, error: Exception, start: int) -> LogError:
     """Return the error that names the first line Arrow could not read; slow, but only then."""
-    for number, line in enumerate(clean.split(b"\n")[:-1], start=1):
+    for number, line in enumerate(clean.split(b"\n")[:-1], start=_lines_before(file, start) + 1):
         fields = line.rstrip(b"\r").split(b" ")
-        if line and len(fields) != width:
+        if line and len(fields) != lines.width:
             return LogError(
-                f"{where}, line {number}: {len(fields)} fields where the first line has {width};"
-                " cut the line, or the log there"
+                f"{file}, line {number}: {len(fields)} fields where the first line has"
+                f" {lines.width}; cut the line, or the log there"
             )
-        if bad := [fields[i] for i in (0, 1, *used) if line and not _is_number(fields[i])]:
+        if bad := [fields[i] for i in (0, 1, *lines.used) if line and not _is_number(fields[i])]:
             text = bad[0][:40].decode(errors="replace")
-            return LogError(f"{where}, line {number}: {text!r} is no number; cut the line")
+            return LogError(f"{file}, line {number}: {text!r} is no number; cut the line")
     reason = str(error).splitlines()[0][:200]
-    return LogError(f"{where}: not a YARP log ({reason}); give the folder that the dumper wrote")
-
-
-def lost_packets(
-    sequence: Int[Array, "N"], opening: Int[Array, "M"]
-) -> tuple[int, int, int] | None:
-    """Return how many packets the counter skips, the row before the first and after the last skip.
-
-    The counter starts again after 32767; a dump that keeps each n-th packet steps by n; a step
-    of half its range or more is a sender that started again; and the counter says nothing across
-    the hole before a row of `opening`. None where nothing is lost.
-    """
-    step = np.diff(sequence) % SEQUENCE_SIZE
-    usual = max(int(np.median(step)), 1) if len(step) else 1
-    skips = (step > usual) & (step < SEQUENCE_SIZE // 2)
-    skips[opening - 1] = False
-    rows = np.flatnonzero(skips)
-    if not len(rows):
-        return None
-    return int((step[rows] // usual - 1).sum()), int(rows[0]), int(rows[-1]) + 1
-
-
-def session_rows(stamps: Int[Array, "N"], link: Connection) -> tuple[int, ...]:
-    """Return the rows that open a new connection.
-
-    Packets are stamped by the sender before the dumper notes the connection, so the row is the one
-    after the step that covers most of the hole between disconnection and connection.
-    """
-    slack = NANOSECONDS // 10
-    rows = set()
-    for again in link.opened[1:]:
-        left = max((t for t in link.closed if t <= again), default=again) - slack
-        right = again + slack
-        first = max(int(np.searchsorted(stamps, left)), 1)
-        last = min(int(np.searchsorted(stamps, right)) + 1, len(stamps))
-        if first < last:
-            before, after = stamps[first - 1 : last - 1], stamps[first:last]
-            covered = np.minimum(after, right) - np.maximum(before, left)
-            rows.add(first + int(np.argmax(covered)))
-    return tuple(sorted(rows))
+    return LogError(f"{file}: not a YARP log ({reason}); give the folder that the dumper wrote")

@@ -9,7 +9,7 @@
 | temperatures, IMUs of six columns | `sensor_msgs/Temperature`, `sensor_msgs/Imu` | its name |
 
 Header, log and publish time are the sample's stamp. Bytes of one message are made by `rosbags`;
-the others are copies of it with their numbers put in place.
+the others are copies of it with their numbers put in place, a chunk at once.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ import importlib.util
 import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
@@ -26,6 +27,7 @@ import numpy as np
 
 from ftcal.errors import OutputError
 from ftcal.logs.layout import WRENCH_AXES, Layout
+from ftcal.logs.mcap_chunks import ChunkedFile, Messages
 from ftcal.logs.ros_layout import ByteLayout, learn
 from ftcal.logs.ros_messages import KINDS
 from ftcal.recording import NANOSECONDS, Recording, Signal
@@ -82,8 +84,6 @@ class Writer:
         """Prepare to write `path`; `OutputError` where it cannot be."""
         if any(importlib.util.find_spec(name) is None for name in ("mcap", "rosbags")):
             raise OutputError(f'{path}: writing MCAP needs more; pip install "ftcal[ros]"')
-        from mcap.writer import CompressionType
-        from mcap.writer import Writer as Mcap
         from rosbags.typesys import Stores, get_typestore
 
         self._path = Path(path)
@@ -101,8 +101,7 @@ class Writer:
             self._file = self._made.open("wb")
         except OSError as error:
             raise self._refused(error) from error
-        self._mcap = Mcap(self._file, compression=CompressionType.ZSTD)
-        self._mcap.start(profile="ros2", library="ftcal")
+        self._mcap = ChunkedFile(self._file, profile="ros2", library="ftcal")
 
     def __enter__(self) -> Self:
         return self
@@ -115,7 +114,7 @@ class Writer:
             if kind is None:
                 if not self._channels:
                     raise OutputError(f"{self._path}: no sample to write")
-                self._mcap.finish()  # type: ignore[no-untyped-call]  # the library says no types
+                self._mcap.finish()
                 self._file.close()
                 self._made.replace(self._path)
         except OSError as fault:
@@ -137,19 +136,15 @@ class Writer:
             return
         self._start = recording.start if self._start is None else self._start
         channels = [self._channel(stream) for stream in streams]
-        packed = [self._packed(c, s) for c, s in zip(channels, streams, strict=True)]
-        stamps = np.concatenate([stream.stamps for stream in streams])
-        if stamps.min() < 0 or stamps.max() >= _LAST:
+        stamps = [stream.stamps for stream in streams]
+        if min(int(s.min()) for s in stamps) < 0 or max(int(s.max()) for s in stamps) >= _LAST:
             raise OutputError(f"{self._path}: a stamp lies outside the years 1970 to 2038 that ROS"
                               " knows; check the unit of the time")  # fmt: skip
-        owner = np.repeat(np.arange(len(streams)), [len(stream.stamps) for stream in streams])
-        row = np.concatenate([np.arange(len(stream.stamps)) for stream in streams])
-        order = np.argsort(stamps, kind="stable")
         try:
-            for k, n, stamp in zip(
-                owner[order].tolist(), row[order].tolist(), stamps[order].tolist(), strict=True
-            ):
-                self._mcap.add_message(channels[k].number, stamp, packed[k][n].tobytes(), stamp)
+            self._mcap.add([
+                Messages(c.number, s.stamps, len(c.layout.first), partial(_packed, c.layout, s))
+                for c, s in zip(channels, streams, strict=True)
+            ])  # fmt: skip
         except OSError as error:
             raise self._refused(error) from error
 
@@ -178,8 +173,8 @@ class Writer:
         kind = stream.kind
         if kind not in self._schemas:
             text, _ = self._store.generate_msgdef(kind, ros_version=2)
-            self._schemas[kind] = self._mcap.register_schema(kind, "ros2msg", text.encode())
-        number = self._mcap.register_channel(stream.topic, "cdr", self._schemas[kind])
+            self._schemas[kind] = self._mcap.schema(kind, "ros2msg", text.encode())
+        number = self._mcap.channel(stream.topic, "cdr", self._schemas[kind])
         message = bytes(self._store.serialize_cdr(self._zero(kind, stream.columns), kind))
         layout = learn(message, kind, self._store.fielddefs, wire="cdr")
         return _Channel(stream, number, layout)
@@ -203,26 +198,28 @@ class Writer:
             header, turned, nowhere, vector(0, 0, 0), unknown, vector(0, 0, 0), unknown
         )
 
-    def _packed(self, channel: _Channel, stream: _Stream) -> UInt8[Array, "N B"]:
-        """Return the messages of all samples, one a row."""
-        packed = np.tile(channel.layout.first.view(np.uint8), (len(stream.stamps), 1))
-        sec, nanosec = np.divmod(stream.stamps, NANOSECONDS)
-        values = [("header.stamp.sec", sec[:, None]), ("header.stamp.nanosec", nanosec[:, None])]
-        paths, done = KINDS[stream.kind].values, 0
-        for path in paths:
-            count = channel.layout.places[path].count
-            values.append((path, stream.values[:, done : done + count]))
-            done += count
-        for path, numbers in values:
-            place = channel.layout.places[path]
-            code = np.ascontiguousarray(numbers, dtype=place.code).view(np.uint8)
-            packed[:, place.offset : place.offset + code.shape[1]] = code
-        return packed[:, -channel.layout.length :]
-
     def _refused(self, error: OSError) -> OutputError:
         return OutputError(
             f"{self._path}: cannot be written ({error.strerror or error}); name another place"
         )
+
+
+def _packed(layout: ByteLayout, stream: _Stream, rows: slice) -> UInt8[Array, "M B"]:
+    """Return the messages of some samples, one a row."""
+    stamps, values = stream.stamps[rows], stream.values[rows]
+    packed = np.tile(np.frombuffer(layout.first, np.uint8), (len(stamps), 1))
+    sec, nanosec = np.divmod(stamps, NANOSECONDS)
+    numbers = [("header.stamp.sec", sec[:, None]), ("header.stamp.nanosec", nanosec[:, None])]
+    paths, done = KINDS[stream.kind].values, 0
+    for path in paths:
+        count = layout.places[path].count
+        numbers.append((path, values[:, done : done + count]))
+        done += count
+    for path, columns in numbers:
+        place = layout.places[path]
+        code = np.ascontiguousarray(columns, dtype=place.code).view(np.uint8)
+        packed[:, place.offset : place.offset + place.size] = code
+    return packed
 
 
 def _streams(recording: Recording, path: Path) -> Iterator[_Stream]:

@@ -1,13 +1,15 @@
 """A log a span of time at a time, for recordings larger than memory.
 
 A piece is the recording itself with its signals cut to a span: same second zero, same findings,
-same digest, and the pieces put together are what `logs.read` returns, bit for bit.
+same digest, and the pieces put together are what `logs.read` returns, bit for bit. A session that
+opens with a piece is a break at row 0 of it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import accumulate
 from typing import TYPE_CHECKING, Literal, Protocol
 
 import numpy as np
@@ -63,7 +65,7 @@ class Pieces(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class WholeLog:
-    """A log of a format that only comes as a whole: one piece."""
+    """A log that is in memory as a whole."""
 
     recording: Recording
 
@@ -77,13 +79,21 @@ class WholeLog:
         return named(self.recording, role, name).period
 
     def pieces(self, *, rows: int | None = None, overlap: float = 0.0) -> Iterator[Piece]:
-        """Yield the one piece, whatever `rows` and `overlap`."""
-        del rows, overlap
-        stamps = [signal.stamps for role in ROLES for signal in getattr(self.recording, role)]
-        filled = [s for s in stamps if len(s)]
-        if filled:
-            first, last = min(int(s[0]) for s in filled), max(int(s[-1]) for s in filled)
-            yield Piece(self.recording, first, last + 1)
+        """Yield the pieces in order, views of the recording, as `Pieces.pieces` has it."""
+        signals = [s for role in ROLES for s in getattr(self.recording, role) if len(s)]
+        if not signals:
+            return
+        most = rows or max(1, NUMBERS // sum(len(signal.columns) for signal in signals))
+        margin = round(overlap * NANOSECONDS)
+        start = min(int(signal.stamps[0]) for signal in signals)
+        end = max(int(signal.stamps[-1]) for signal in signals) + 1
+        while start < end:
+            last = [int(np.searchsorted(s.stamps, start)) + most - 1 for s in signals]
+            full = [int(s.stamps[row]) + 1 for s, row in zip(signals, last, strict=True)
+                    if row < len(s)]  # fmt: skip
+            stop = min(full, default=end)
+            yield Piece(cut(self.recording, start - margin, stop + margin), start, stop)
+            start = stop
 
 
 def named(recording: Recording, role: Role, name: str) -> Signal:
@@ -94,7 +104,8 @@ def named(recording: Recording, role: Role, name: str) -> Signal:
 def cut(recording: Recording, start: int, stop: int) -> Recording:
     """Return the recording with the samples of [start, stop) [ns since the epoch] alone.
 
-    Rows that open a session (`Signal.breaks`) are counted anew.
+    Rows that open a session (`Signal.breaks`) are counted anew; row 0 is one where a session opens
+    with the cut.
     """
     return mapped(recording, lambda signal: signal_between(signal, start, stop))
 
@@ -123,19 +134,38 @@ def signal_between(signal: Signal, start: int, stop: int) -> Signal:
 def signal_rows(signal: Signal, begin: int, end: int | None) -> Signal:
     """Return the rows [begin, end) of a signal, to its end where that is None, as a view."""
     last = len(signal) if end is None else end
-    breaks = tuple(row - begin for row in signal.breaks if begin < row < last)
+    breaks = tuple(row - begin for row in signal.breaks if begin <= row < last)
     return replace(
         signal, stamps=signal.stamps[begin:last], values=signal.values[begin:last], breaks=breaks
     )
 
 
 def joined(signals: Sequence[Signal]) -> Signal:
-    """Return stretches of one signal without breaks, put together in their order."""
+    """Return stretches of one signal, put together in their order."""
+    starts = accumulate((len(signal) for signal in signals), initial=0)
     return replace(
         signals[0],
         stamps=np.concatenate([signal.stamps for signal in signals]),
         values=np.concatenate([signal.values for signal in signals]),
-    )
+        breaks=tuple(start + row for signal, start in zip(signals, starts, strict=False)
+                     for row in signal.breaks),
+    )  # fmt: skip
+
+
+def span(log: Pieces, start: float, stop: float) -> Recording:
+    """Return the samples of a log in [start, stop) seconds since its start, and read no further."""
+    first, last = (log.head.start + round(second * NANOSECONDS) for second in (start, stop))
+    parts = [cut(log.head, first, first)]
+    for piece in log.pieces():
+        if piece.start >= last:
+            break
+        if piece.stop > first:
+            parts.append(cut(piece.own, first, last))
+    return replace(
+        log.head,
+        **{role: tuple(map(joined, zip(*(getattr(part, role) for part in parts), strict=True)))
+           for role in ROLES},
+    )  # fmt: skip
 
 
 def median_period(

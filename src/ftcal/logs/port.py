@@ -7,7 +7,7 @@ Sessions are connections noted in one `info.log`, or folders of one port that th
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -20,6 +20,8 @@ from ftcal.logs import columns, dump, measures
 from ftcal.logs.columns import Note, Streams
 from ftcal.logs.dump import CONNECTION, SAMPLES
 from ftcal.logs.layout import WRENCH_AXES, Layout, part_joints
+from ftcal.logs.packets import Counter, Sessions
+from ftcal.logs.pieces import joined
 from ftcal.recording import NANOSECONDS, Signal
 
 NUMBERED = re.compile(r"_\d{5}$")
@@ -48,24 +50,32 @@ class Port:
         """The file with the samples."""
         return self.folder / SAMPLES
 
+    @property
+    def files(self) -> list[Path]:
+        """The files that there are."""
+        return [file for file in (self.samples, self.folder / CONNECTION) if file.is_file()]
+
+
+def same(root: Path, ports: Sequence[Port]) -> None:
+    """Raise `LogError` where `ports` of one name are not the sessions of one port."""
+    homes = {tuple(NUMBERED.sub("", p) for p in p.folder.relative_to(root).parts) for p in ports}
+    if len(homes) > 1:
+        where = ", ".join(str(port.folder) for port in ports[:2])
+        raise LogError(f"{where}: both hold port {ports[0].name!r}; read one recording at a time")
+
 
 def read(root: Path, ports: Sequence[Port], layout: Layout) -> tuple[Streams, list[bytes]]:
     """Return the one signal of `ports`, the sessions of one port, and the SHA-256 of each file.
 
     Raises `LogError` where a session cannot be read, or two cannot be sessions of one port.
     """
-    name = ports[0].name
-    homes = {tuple(NUMBERED.sub("", p) for p in p.folder.relative_to(root).parts) for p in ports}
-    if len(homes) > 1:
-        where = ", ".join(str(port.folder) for port in ports[:2])
-        raise LogError(f"{where}: both hold port {name!r}; read one recording at a time")
+    same(root, ports)
     notes: list[Note] = []
     sums: list[bytes] = []
     sessions: list[Signal] = []
     for port in ports:
-        files = [f for f in (port.samples, port.folder / CONNECTION) if f.is_file()]
         with ThreadPoolExecutor(1) as beside:
-            digests = beside.map(columns.file_sha256, files)
+            digests = beside.map(columns.file_sha256, port.files)
             signal, noticed = _session(port, layout)
         notes += noticed
         sums += digests
@@ -73,77 +83,130 @@ def read(root: Path, ports: Sequence[Port], layout: Layout) -> tuple[Streams, li
             sessions.append(signal)
     if not sessions:
         return Streams(notes=tuple(notes)), sums
-    signal = _join(sorted(sessions, key=lambda s: int(s.stamps[0])), ports)
-    if ports[0].role == MEASURES:
-        return measures.split(signal, tuple(notes)), sums
-    return Streams(notes=tuple(notes), **{ports[0].role: (signal,)}), sums
+    sessions.sort(key=lambda s: int(s.stamps[0]))
+    apart([(int(s.stamps[0]), int(s.stamps[-1]), s.values.shape[1]) for s in sessions], ports)
+    return streams(_join(sessions), ports[0], notes), sums
+
+
+def streams(signal: Signal, port: Port, notes: Iterable[Note] = ()) -> Streams:
+    """Return the signals that the `signal` of a port is, by its role."""
+    if port.role == MEASURES:
+        return measures.split(signal, tuple(notes))
+    return Streams(notes=tuple(notes), **{port.role: (signal,)})
 
 
 def _session(port: Port, layout: Layout) -> tuple[Signal, list[Note]]:
     """Return the samples of one folder as a signal, and what was noticed."""
-    link = port.link
-    scale = np.pi / 180 if port.role == "joints" and layout.angle != "rad" else 1.0
-    samples, fields = dump.NOTHING, None
-    if port.samples.is_file():
-        if port.role == MEASURES:
-            fields = measures.fields(dump.first_line(port.samples))
-        samples = dump.parse(port.samples, both_stamps=link.both_stamps, scale=scale, fields=fields)
-    values, names = samples.values, _names(port, samples.values.shape[1], layout)
-    if fields is not None:
-        names = tuple(fields.values()) if len(samples.stamps) else ()
-    used = [column for column, title in enumerate(names) if title]
-    if len(used) < len(names):
-        values, names = values[:, used], tuple(names[column] for column in used)
-    columns.require_finite(values, names, str(port.samples), first_row=1)
-    signal = Signal(_title(port, layout), names, samples.stamps, values)
-    signal, kept, noticed = columns.in_order(signal, str(port.samples), first_row=1)
-    notes = list(noticed)
-    begin = int(signal.stamps[0]) if len(signal) else min(link.opened, default=0)
-    end = int(signal.stamps[-1]) if len(signal) else max(link.closed, default=begin)
-    if not len(signal):
-        message = f"connected for {(end - begin) / NANOSECONDS:.1f} s but logged no sample"
-        notes.append(Note("empty", signal.name, begin, end, message))
-    if samples.truncated:
-        message = "the last line is incomplete; left out"
-        notes.append(Note("truncated", signal.name, end, end + 1, message))
-    breaks = dump.session_rows(signal.stamps, link)
-    opening = np.searchsorted(samples.stamps, signal.stamps[list(breaks)])
-    if lost := dump.lost_packets(samples.sequence, opening):
-        count, before, after = lost
-        message = f"the packet counter skips {count} of {count + len(kept)} packets"
-        start, stop = int(samples.stamps[before]), int(samples.stamps[after])
-        notes.append(Note("lost packets", signal.name, start, stop, message))
-    return replace(signal, breaks=breaks), notes
+    reading = Reading.of(port, layout)
+    samples = dump.NOTHING
+    if reading.lines.width:
+        samples = dump.parse(port.samples, reading.lines, scale=reading.scale)
+    signal = reading.signal(samples)
+    columns.require_finite(signal.values, signal.columns, str(port.samples), first_row=1)
+    signal, _, noticed = columns.in_order(signal, str(port.samples), first_row=1)
+    sessions, counter = Sessions(port.link), Counter()
+    sessions.see(signal.stamps)
+    counter.see(samples.sequence)
+    lost = counter.lost([(samples.sequence, samples.stamps)], sessions.opening)
+    ends = (int(signal.stamps[0]), int(signal.stamps[-1])) if len(signal) else None
+    notes = [*noticed, *reading.notes(ends, len(samples.stamps), lost)]
+    breaks = np.searchsorted(signal.stamps, sessions.opening).tolist()
+    return replace(signal, breaks=tuple(breaks)), notes
 
 
-def _join(sessions: Sequence[Signal], ports: Sequence[Port]) -> Signal:
-    """Return sessions of one port, ordered in time, as one signal with breaks between them."""
-    if len(sessions) == 1:
-        return sessions[0]
+@dataclass(frozen=True, slots=True)
+class Reading:
+    """How the samples of one folder become a signal."""
+
+    port: Port
+    layout: Layout
+    lines: dump.Form
+    """The form of its lines; no fields where there are no samples."""
+    titles: tuple[str, ...] | None
+    """Name of each value where the first line says it; None: the layout does."""
+
+    @classmethod
+    def of(cls, port: Port, layout: Layout) -> Reading:
+        """Return how `port` is read; `LogError` where its first line is no sample."""
+        lines, fields = dump.Form(), None
+        if port.samples.is_file():
+            if port.role == MEASURES:
+                fields = measures.fields(dump.first_line(port.samples))
+            lines = dump.form(port.samples, both_stamps=port.link.both_stamps, fields=fields)
+        return cls(port, layout, lines, None if fields is None else tuple(fields.values()))
+
+    @property
+    def clock(self) -> Reading:
+        """The same without the values: counters and stamps alone."""
+        return replace(self, lines=replace(self.lines, used=(), status=()))
+
+    @property
+    def scale(self) -> float:
+        """What a logged number is times to be SI."""
+        return np.pi / 180 if self.port.role == "joints" and self.layout.angle != "rad" else 1.0
+
+    @property
+    def name(self) -> str:
+        """Name of the signal: that of its port, or the one given to a temperature."""
+        titles = {given: title for title, given in self.layout.temperatures.items()}
+        return titles.get(self.port.name, self.port.name)
+
+    def signal(self, samples: dump.Samples) -> Signal:
+        """Return some samples as a signal, repeated and disordered stamps included.
+
+        Raises `LogError` where the layout names more or fewer columns than there are.
+        """
+        values, names = samples.values, self.titles if self.lines.width else ()
+        if names is None:
+            names = _names(self.port, len(self.lines.used), self.layout)
+        used = [column for column, title in enumerate(names) if title]
+        if len(used) < len(names):
+            values, names = values[:, used], tuple(names[column] for column in used)
+        return Signal(self.name, names, samples.stamps, values)
+
+    def notes(
+        self, ends: tuple[int, int] | None, packets: int, lost: tuple[int, int, int] | None
+    ) -> list[Note]:
+        """Return what is to be told of a folder besides repeated stamps.
+
+        `ends` are its first and last stamp [ns], `lost` what `Counter.lost` says.
+        """
+        notes = []
+        if ends is None:
+            begin = min(self.port.link.opened, default=0)
+            ends = begin, max(self.port.link.closed, default=begin)
+            message = f"connected for {(ends[1] - begin) / NANOSECONDS:.1f} s but logged no sample"
+            notes.append(Note("empty", self.name, *ends, message))
+        if self.lines.truncated:
+            message = "the last line is incomplete; left out"
+            notes.append(Note("truncated", self.name, ends[1], ends[1] + 1, message))
+        if lost:
+            count, start, stop = lost
+            message = f"the packet counter skips {count} of {count + packets} packets"
+            notes.append(Note("lost packets", self.name, start, stop, message))
+        return notes
+
+
+def apart(sessions: Sequence[tuple[int, int, int]], ports: Sequence[Port]) -> None:
+    """Raise `LogError` where sessions overlap in time, or differ in columns.
+
+    Of each its first and last stamp [ns] and its number of columns, in the order of time.
+    """
     folders = ", ".join(port.folder.name for port in ports)
-    if any(b.stamps[0] <= a.stamps[-1] for a, b in pairwise(sessions)):
+    if any(later[0] <= earlier[1] for earlier, later in pairwise(sessions)):
         raise LogError(f"{ports[0].folder.parent}: sessions {folders} overlap in time; read one")
-    if len({s.values.shape[1] for s in sessions}) > 1:
+    if len({width for _, _, width in sessions}) > 1:
         raise LogError(f"{ports[0].folder.parent}: sessions {folders} differ in columns; read one")
-    starts = np.cumsum([0, *(len(s) for s in sessions)])
-    breaks = {b + int(o) for s, o in zip(sessions, starts, strict=False) for b in s.breaks}
-    return replace(
-        sessions[0],
-        stamps=np.concatenate([s.stamps for s in sessions]),
-        values=np.concatenate([s.values for s in sessions]),
-        breaks=tuple(sorted(breaks | {int(start) for start in starts[1:-1]})),
-    )
 
 
-def _title(port: Port, layout: Layout) -> str:
-    """Return the name of the signal of `port`: its own, or the one given to a temperature."""
-    return {given: title for title, given in layout.temperatures.items()}.get(port.name, port.name)
+def _join(sessions: Sequence[Signal]) -> Signal:
+    """Return sessions of one port, ordered in time, as one signal with breaks between them."""
+    first, *later = sessions
+    return joined([first, *(replace(s, breaks=(0, *s.breaks)) for s in later)]) if later else first
 
 
 def _names(port: Port, logged: int, layout: Layout) -> tuple[str, ...]:
     """Return a name for each of the `logged` columns of `port`, "" for those to leave out."""
-    if not logged or port.role == MEASURES:
-        return ()
     name = port.name
     match port.role:
         case "joints":

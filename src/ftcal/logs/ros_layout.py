@@ -17,14 +17,17 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 if TYPE_CHECKING:
-    from jaxtyping import Bool, Float, Int, Shaped, UInt8, UInt64
+    from jaxtyping import Bool, Float, Int, Shaped, UInt8
     from numpy import ndarray as Array
 
 _LITTLE_ENDIAN = b"\x00\x01"
 _HEAD = 4
 """Bytes in front of a CDR message: how it is packed, and options."""
 _PADDING = 3
-"""Most bytes behind a CDR message."""
+"""Most bytes behind a CDR message, or between two texts or counts of it."""
+
+_BLOCK = 1 << 16
+"""Bytes of messages that are compared together: what the processor keeps at hand."""
 
 _CODES = {
     "bool": "|u1", "byte": "|u1", "char": "|u1", "uint8": "|u1", "int8": "|i1",
@@ -42,72 +45,80 @@ class Place:
     """Where the numbers of one field lie."""
 
     offset: int
-    """Bytes from the start of the message, filled up in front."""
+    """Bytes from the start of the message."""
     code: str
     """NumPy's code of the number."""
     count: int
 
     @property
-    def stop(self) -> int:
-        """The byte behind the last number."""
-        return self.offset + self.count * np.dtype(self.code).itemsize
+    def size(self) -> int:
+        """Bytes of all numbers."""
+        return self.count * np.dtype(self.code).itemsize
 
 
 @dataclass(frozen=True, slots=True)
 class ByteLayout:
     """Places of all numbers in messages that agree with the first in length, texts and counts."""
 
-    length: int
-    """Bytes of a message."""
-    first: UInt64[Array, "W"]
-    """The message it was learnt from, in whole words: filled up in front."""
-    fixed: UInt64[Array, "W"]
-    """Bits that must not change."""
+    first: bytes
+    """The message it was learnt from."""
+    fixed: UInt8[Array, "B"]
+    """Bits of a message that must not change."""
+    spans: tuple[tuple[int, int], ...]
+    """Bytes [start, stop) that have such bits, and the padding between them."""
     places: Mapping[str, Place]
     """By the path of the field, such as `wrench.force.x`."""
     texts: Mapping[str, str]
     """What all these messages say, by the path of the field, such as `name.0`."""
 
-    def agrees(self, words: UInt64[Array, "N W"]) -> Bool[Array, "N"]:
-        """Return which messages are packed like the first."""
-        every = np.bitwise_and.reduce(words, axis=0), np.bitwise_or.reduce(words, axis=0)
-        if not any(((bits ^ self.first) & self.fixed).any() for bits in every):
-            return np.ones(len(words), dtype=bool)  # nearly always, and far from row by row
-        return np.asarray(~((words ^ self.first) & self.fixed).any(axis=1))
+    def agrees(self, buffer: UInt8[Array, "B"], starts: Int[Array, "N"]) -> Bool[Array, "N"]:
+        """Return which of the messages at `starts`, as long as the first, are packed like it."""
+        alike = np.ones(len(starts), dtype=bool)
+        for start, stop in self.spans:
+            length, first = stop - start, self.first[start:stop]
+            rows = _BLOCK // length + 1
+            for row in range(0, len(starts), rows):
+                found = taken(buffer, starts[row : row + rows] + start, length)
+                if found.tobytes() != first * len(found):  # hardly ever; row by row takes longer
+                    differs = (found ^ np.frombuffer(first, np.uint8)) & self.fixed[start:stop]
+                    alike[row : row + rows] &= ~differs.any(axis=1)
+        return alike
 
-    def read(self, words: UInt64[Array, "N W"], path: str) -> Shaped[Array, "N K"]:
+    def read(
+        self, buffer: UInt8[Array, "B"], starts: Int[Array, "N"], path: str
+    ) -> Shaped[Array, "N K"]:
         """Return the numbers of the field at `path`, one row a message."""
-        return _read(words, self.places[path])
+        return _read(buffer, starts, self.places[path])
 
-    def table(self, words: UInt64[Array, "N W"], paths: Sequence[str]) -> Float[Array, "N K"]:
+    def table(
+        self, buffer: UInt8[Array, "B"], starts: Int[Array, "N"], paths: Sequence[str]
+    ) -> Float[Array, "N K"]:
         """Return the numbers of several fields side by side; neighbours are read in one go."""
         joined: list[Place] = []
         for place in (self.places[path] for path in paths):
-            if joined and joined[-1].stop == place.offset and joined[-1].code == place.code:
-                joined[-1] = replace(joined[-1], count=joined[-1].count + place.count)
+            last = joined[-1] if joined else place
+            if joined and last.offset + last.size == place.offset and last.code == place.code:
+                joined[-1] = replace(last, count=last.count + place.count)
             else:
                 joined.append(place)
-        parts = [_read(words, place) for place in joined]
+        parts = [_read(buffer, starts, place) for place in joined]
         return (parts[0] if len(parts) == 1 else np.hstack(parts)).astype(np.float64, copy=False)
 
 
-def _read(words: UInt64[Array, "N W"], place: Place) -> Shaped[Array, "N K"]:
-    part = np.ascontiguousarray(words.view(np.uint8)[:, place.offset : place.stop])
-    return part.view(place.code)
+def _read(buffer: UInt8[Array, "B"], starts: Int[Array, "N"], place: Place) -> Shaped[Array, "N K"]:
+    return taken(buffer, starts + place.offset, place.size).view(place.code)
 
 
-def whole_words(
+def taken(
     buffer: UInt8[Array, "B"], starts: Int[Array, "N"], length: int
-) -> UInt64[Array, "N W"]:
-    """Return messages of `length` bytes at `starts`, one a row, with what stands before each.
-
-    Rows are whole words that end with the message; `buffer` has seven bytes before the first.
-    """
-    width = -(-length // 8) * 8
-    # every byte begins a window; taking windows copies each message in one go
-    windows = np.ndarray((len(buffer) - width + 1,), f"V{width}", buffer, strides=(1,))
-    words: UInt64[Array, "N W"] = windows[starts - (width - length)].view(np.uint64)
-    return words.reshape(len(starts), -1)
+) -> UInt8[Array, "N length"]:
+    """Return a copy of `length` bytes at each of `starts`, one a row."""
+    if not length or not len(starts):
+        return np.empty((len(starts), length), dtype=np.uint8)
+    # every byte begins a window; taking windows copies each of them in one go
+    windows = np.ndarray((len(buffer) - length + 1,), f"V{length}", buffer, strides=(1,))
+    found: UInt8[Array, "N length"] = windows[starts].view(np.uint8).reshape(-1, length)
+    return found
 
 
 def learn(message: bytes, kind: str, definitions: Mapping[str, Any], *, wire: str) -> ByteLayout:
@@ -125,13 +136,15 @@ def learn(message: bytes, kind: str, definitions: Mapping[str, Any], *, wire: st
     walk.structure(kind, "")
     if len(message) - walk.at > (_PADDING if cdr else 0):
         raise UnfitError
-    filled = -len(message) % 8
-    mask = np.zeros(filled + len(message), dtype=np.uint8)
+    fixed = np.zeros(len(message), dtype=np.uint8)
+    spans: list[tuple[int, int]] = []
     for start, stop in walk.fixed:
-        mask[filled + start : filled + stop] = 0xFF
-    first = np.frombuffer(bytes(filled) + message, np.uint64)
-    places = {path: replace(p, offset=filled + p.offset) for path, p in walk.places.items()}
-    return ByteLayout(len(message), first, mask.view(np.uint64), places, walk.texts)
+        fixed[start:stop] = 0xFF
+        begin = start
+        if spans and start - spans[-1][1] <= _PADDING:
+            begin, _ = spans.pop()
+        spans.append((begin, stop))
+    return ByteLayout(message, fixed, tuple(spans), walk.places, walk.texts)
 
 
 @dataclass(slots=True)

@@ -23,12 +23,13 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 
 from ftcal.logs.layout import WRENCH_AXES
-from ftcal.logs.ros_layout import ByteLayout, UnfitError, learn, whole_words
+from ftcal.logs.pieces import Role
+from ftcal.logs.ros_layout import ByteLayout, UnfitError, learn
 from ftcal.logs.ros_topic import Batch, Topic, definitions, no_foreign_errors, typestore
 from ftcal.recording import NANOSECONDS
 
 if TYPE_CHECKING:
-    from jaxtyping import Bool, Float, Int, UInt64
+    from jaxtyping import Bool, Float, Int
     from numpy import ndarray as Array
 
 IMU_AXES = ("ax", "ay", "az", "gx", "gy", "gz")
@@ -45,7 +46,7 @@ _FRAME = "header.frame_id"
 class Kind:
     """What is read of a message type."""
 
-    role: str
+    role: Role
     """Field of `Streams` that it fills."""
     values: tuple[str, ...]
     """Paths of the fields with numbers."""
@@ -112,6 +113,11 @@ class Piece:
     values: Float[Array, "N K"]
     withheld: Bool[Array, "N"]
     """Whether the message says that it has no such measurement."""
+
+    @property
+    def key(self) -> tuple[str, frozenset[str]]:
+        """Frame and names: what parts the messages of one topic into signals."""
+        return self.frame, frozenset(self.names)
 
 
 @dataclass(frozen=True, slots=True)
@@ -193,27 +199,27 @@ class Decoder:
     ) -> tuple[Int[Array, "L"], list[Piece]]:
         """Return the rows that are packed otherwise, and those packed as `form` says."""
         layout = form.layout
-        alike = batch.lengths[waiting] == layout.length
+        alike = batch.lengths[waiting] == len(layout.first)
         if not alike.any():
             return waiting, []
         rows = waiting[alike]
-        words = whole_words(batch.buffer, batch.starts[rows], layout.length)
-        agrees = layout.agrees(words)
+        agrees = layout.agrees(batch.buffer, batch.starts[rows])
         if not agrees.all():
             alike[alike] = agrees
-            rows, words = rows[agrees], words[agrees]
-        return waiting[~alike], [self._piece(form, words, batch.arrival[rows])] if len(rows) else []
+            rows = rows[agrees]
+        return waiting[~alike], [self._piece(batch, rows, form)] if len(rows) else []
 
-    def _piece(self, form: _Form, words: UInt64[Array, "N W"], arrival: Int[Array, "N"]) -> Piece:
+    def _piece(self, batch: Batch, rows: Int[Array, "N"], form: _Form) -> Piece:
         layout, kind = form.layout, self._kind
+        buffer, starts, arrival = batch.buffer, batch.starts[rows], batch.arrival[rows]
         stamps = arrival
         if kind.stamped:
-            sec, nanosec = (layout.read(words, path)[:, 0].astype(np.int64) for path in _STAMP)
+            sec, nanosec = (layout.read(buffer, starts, p)[:, 0].astype(np.int64) for p in _STAMP)
             stamps = sec * NANOSECONDS + nanosec
-        withheld = np.zeros(len(words), dtype=bool)
+        withheld = np.zeros(len(rows), dtype=bool)
         for path in kind.withheld:
-            withheld |= layout.read(words, path)[:, 0] == -1.0
-        values = layout.table(words, kind.values)
+            withheld |= layout.read(buffer, starts, path)[:, 0] == -1.0
+        values = layout.table(buffer, starts, kind.values)
         return Piece(form.names, form.frame, stamps, arrival, values, withheld)
 
     def _learn(self, message: bytes) -> _Form | None:

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -19,9 +20,6 @@ from ftcal.errors import FtcalError, LogError
 if TYPE_CHECKING:
     from jaxtyping import Int, UInt8
     from numpy import ndarray as Array
-
-SPARE = 8
-"""Bytes before the first message of a buffer, so that all can be read in whole words."""
 
 SEPARATOR = "=" * 80 + "\n"
 """Parts the files of a concatenated message definition."""
@@ -51,7 +49,7 @@ class Batch:
 
     topic: Topic
     buffer: UInt8[Array, "B"]
-    """The messages and whatever lies between them, with `SPARE` bytes or more in front."""
+    """The messages and whatever lies between them."""
     starts: Int[Array, "N"]
     """First byte of each message in `buffer`."""
     lengths: Int[Array, "N"]
@@ -71,8 +69,8 @@ class Batch:
 def batch(topic: Topic, messages: Sequence[bytes], arrival: Sequence[int]) -> Batch:
     """Return `messages`, bytes each, as one batch."""
     lengths = np.array([len(message) for message in messages], dtype=np.int64)
-    buffer = np.frombuffer(b"".join((bytes(SPARE), *messages)), np.uint8)
-    starts = SPARE + np.cumsum(lengths) - lengths
+    buffer = np.frombuffer(b"".join(messages), np.uint8)
+    starts = np.cumsum(lengths) - lengths
     return Batch(topic, buffer, starts, lengths, np.array(arrival, dtype=np.int64))
 
 
@@ -88,15 +86,20 @@ def definitions(topic: Topic) -> Mapping[str, Any]:
     From the bag, else those of ROS 2 Humble: the last distribution whose sqlite3 bags carry no
     definitions; the types read here are the same in all. Raises what `rosbags` raises.
     """
+    return _parsed(topic.definition, topic.language, topic.kind)
+
+
+@lru_cache(maxsize=64)  # rosbags takes milliseconds, and all bags of a fleet say the same
+def _parsed(definition: str, language: str, kind: str) -> Mapping[str, Any]:
     from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
 
-    if not topic.definition:
+    if not definition:
         return get_typestore(Stores.ROS2_HUMBLE).fielddefs
-    if topic.language == "ros2idl":
-        texts = [part for part in topic.definition.split(SEPARATOR) if part.strip()]
+    if language == "ros2idl":
+        texts = [part for part in definition.split(SEPARATOR) if part.strip()]
         parts = [_without_title(text) for text in texts]
-        return {kind: v for part in parts for kind, v in get_types_from_idl(part).items()}
-    return get_types_from_msg(topic.definition, topic.kind)
+        return {name: v for part in parts for name, v in get_types_from_idl(part).items()}
+    return get_types_from_msg(definition, kind)
 
 
 def typestore(definitions: Mapping[str, Any]) -> Any:

@@ -29,7 +29,7 @@ def limit(packed: int) -> int:
     return max(CEILING, RATIO * packed)
 
 
-def inflate(packed: bytes, method: str, size: int, where: str) -> bytes:
+def inflate(packed: bytes | memoryview, method: str, size: int, where: str) -> bytes:
     """Return the `size` bytes that `packed` unfolds to; `LogError` where it does not."""
     if not 0 <= size <= limit(len(packed)):
         raise LogError(f"{where} claims {size} bytes in {len(packed)}; the file is damaged")
@@ -76,7 +76,7 @@ def _pieces(stream: IO[bytes]) -> Iterator[bytes]:
         yield piece
 
 
-def _zstd(packed: bytes, size: int, where: str) -> bytes:
+def _zstd(packed: bytes | memoryview, size: int, where: str) -> bytes:
     from zstandard import ZstdDecompressor, frame_content_size
 
     claimed = frame_content_size(packed)

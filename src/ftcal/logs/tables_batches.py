@@ -70,7 +70,11 @@ class ParquetBatches:
     def batches(self, names: Sequence[str], rows: int) -> Iterator[Any]:
         """Yield the columns `names` as Arrow tables of `rows` rows."""
         with parquet.ParquetFile(str(self.file), buffer_size=_BUFFER, pre_buffer=False) as opened:
-            for batch in opened.iter_batches(rows, columns=list(names)):
+            for batch in opened.iter_batches(
+                rows,
+                columns=list(names),
+                use_threads=False,  # an arena of memory a thread
+            ):
                 yield pa.Table.from_batches([batch])
 
 

@@ -17,6 +17,7 @@ Ports of other names are left alone unless the layout names them.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 from ftcal.errors import LogError, unknown
@@ -35,46 +36,61 @@ def holds(path: Path) -> bool:
     return any(next(path.rglob(name), None) is not None for name in (SAMPLES, CONNECTION))
 
 
+def ports(path: Path, layout: Layout) -> tuple[list[list[Port]], list[str]]:
+    """Return the sessions of every port below `path` that is to be read, and all names of ports.
+
+    Raises `LogError` where nothing says what a folder holds, the layout names a port that is not
+    there, or no folder holds a sample.
+    """
+    folders = sorted({log.parent for f in (SAMPLES, CONNECTION) for log in path.rglob(f)})
+    logged = {f for f in folders if (f / SAMPLES).is_file() and (f / SAMPLES).stat().st_size}
+    if not logged:
+        raise LogError(f"{path}: no samples in any data.log; give the folder that the dumper wrote")
+    every = [_open(folder, layout) for folder in folders]
+    known = {port.name for port in every}
+    wanted = (*layout.joints, *layout.channels, *layout.imus, *layout.temperatures.values())
+    if absent := [name for name in wanted if name not in known]:
+        raise LogError(f"{path}: {unknown('port', absent[0], known)}; the layout must name one")
+    fuller = {p.name.removesuffix("stateExt:o") for p in every
+              if p.folder in logged and p.name.endswith("stateExt:o")}  # fmt: skip
+    sessions: dict[str, list[Port]] = {}
+    for p in every:
+        # a board's state:o and stateExt:o say the same positions
+        if p.role and not (
+            p.name.endswith("/state:o") and p.name.removesuffix("state:o") in fuller
+        ):
+            sessions.setdefault(p.name, []).append(p)
+    return list(sessions.values()), sorted(known)
+
+
 def read(path: Path, layout: Layout, *, name: str | None = None) -> Recording:
     """Return the recording below the folder `path`: a root, its `icub` folder, or one port.
 
     Raises `LogError` where a known port cannot be read, or the layout names a port that is not
     there. A port that was connected but logged nothing is a finding.
     """
-    folders = sorted({log.parent for f in (SAMPLES, CONNECTION) for log in path.rglob(f)})
-    logged = {f for f in folders if (f / SAMPLES).is_file() and (f / SAMPLES).stat().st_size}
-    if not logged:
-        raise LogError(f"{path}: no samples in any data.log; give the folder that the dumper wrote")
-    ports = [_open(folder, layout) for folder in folders]
-    known = {port.name for port in ports}
-    wanted = (*layout.joints, *layout.channels, *layout.imus, *layout.temperatures.values())
-    if absent := [name for name in wanted if name not in known]:
-        raise LogError(f"{path}: {unknown('port', absent[0], known)}; the layout must name one")
-    fuller = {p.name.removesuffix("stateExt:o") for p in ports
-              if p.folder in logged and p.name.endswith("stateExt:o")}  # fmt: skip
-    sessions: dict[str, list[Port]] = {}
-    for p in ports:
-        # a board's state:o and stateExt:o say the same positions
-        if p.role and not (
-            p.name.endswith("/state:o") and p.name.removesuffix("state:o") in fuller
-        ):
-            sessions.setdefault(p.name, []).append(p)
+    groups, known = ports(path, layout)
     parts, sums = [], []
-    for group in sessions.values():
-        streams, digests = port.read(path, group, layout)
+    for sessions in groups:
+        streams, digests = port.read(path, sessions, layout)
         parts.append(streams)
         sums += digests
     if not any(part.signals for part in parts):
-        raise LogError(
-            f"{path}: no joint, F/T or inertial sample (ports:"
-            f" {', '.join(sorted(known))}); name those to use in the job, as joints or channels"
-        )
+        raise nothing(path, known)
     return columns.recording(
         columns.merge(parts),
         name=name or path.resolve().name,
         source=str(path),
         zero=layout.zero,
         sha256=columns.digest(sums),
+    )
+
+
+def nothing(path: Path, known: Sequence[str]) -> LogError:
+    """Return the error that names the ports `known` below `path`, of which none gave a signal."""
+    return LogError(
+        f"{path}: no joint, F/T or inertial sample (ports: {', '.join(known)});"
+        " name those to use in the job, as joints or channels"
     )
 
 

@@ -172,6 +172,8 @@ def residual_spread(sensor: str, kind: str, pieces: Sequence[HeldOut]) -> Figure
         name: np.concatenate([residual(piece, name) for piece in pieces])
         for name in (WORKBENCH, IN_SITU)
     }
+    # samples that are kept count for those that are not
+    each = np.concatenate([np.full(len(p.time), p.each) for p in pieces])
     traces = []
     for axis in range(6):
         column, row = axis % 3, axis // 3
@@ -191,11 +193,11 @@ def residual_spread(sensor: str, kind: str, pieces: Sequence[HeldOut]) -> Figure
         reach = max(float(np.abs(table[:, axis]).max()) for table in both.values())
         edges = np.linspace(-reach, reach, BINS + 1) if reach > 0 else np.linspace(-1, 1, BINS + 1)
         for name, table in both.items():
-            count = np.histogram(table[:, axis], edges)[0]
+            count = np.histogram(table[:, axis], edges, weights=each)[0]
             traces.append(
                 {
                     **curve(
-                        0.5 * (edges[1:] + edges[:-1]), count / len(table) * 100, axis, {}, name
+                        0.5 * (edges[1:] + edges[:-1]), count / each.sum() * 100, axis, {}, name
                     ),
                     "line": {**LINES[name], "shape": "hvh"},
                     "fill": "tozeroy",

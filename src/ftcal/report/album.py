@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any, Literal
 
 from ftcal import plots
 from ftcal.one_sensor import SensorOutcome
 from ftcal.plots import POINTS, Figure, Piece
 from ftcal.recording import Recording
-from ftcal.samples import Samples
+from ftcal.segments import Segment
 from ftcal.validate import HeldOut, Scores, held_out
 
 Table = dict[str, Any]
@@ -44,13 +44,26 @@ class Album:
         return json.dumps(self.figures, allow_nan=False).translate(SAFE_IN_SCRIPT)
 
 
+def one_in(steps: Iterable[int], what: str) -> str:
+    """Return how few samples of long recordings are kept for the eye; nothing where all are."""
+    every = sorted(set(steps))
+    if every[-1] == 1:
+        return ""
+    return f" One {what} in {' to '.join(map(str, dict.fromkeys([every[0], every[-1]])))} is drawn."
+
+
+def drawn(steps: Iterable[int]) -> str:
+    """Return what curves leave out: samples that were not kept, and points too many to draw."""
+    return one_in(steps, "sample") + THINNED
+
+
 def wrench_figures(
     outcome: SensorOutcome, recordings: Mapping[str, Recording], album: Album
 ) -> list[Table]:
     """Return the figures of wrenches: in time per recording, smoothing, forces in space."""
     name = outcome.sensor.name
     gain = outcome.fit.estimate.coefficients
-    roles: tuple[tuple[Literal["train", "test"], tuple[Samples, ...]], ...] = (
+    roles: tuple[tuple[Literal["train", "test"], tuple[Segment, ...]], ...] = (
         ("train", outcome.training),
         ("test", outcome.test),
     )
@@ -59,11 +72,11 @@ def wrench_figures(
         for role, segments in roles
         for segment in segments
     ]
-    pieces = [piece for piece in pieces if len(piece.reading.time)]
     made = []
     for paired in outcome.paired:
         label = paired.samples.recording
         inside = [piece for piece in pieces if piece.reading.recording == label]
+        step = round(paired.usable / max(len(paired.samples), 1))
         made.append(
             album.add(
                 plots.wrench_in_time(name, paired.samples, inside),
@@ -71,16 +84,18 @@ def wrench_figures(
                 " robot model expects. Dotted vermillion: Workbench. Thin blue: in situ, as fitted"
                 " (before refused axes went back to the Workbench). Both readings get the offset"
                 " that fits each shaded window best. Gaps are samples that were not usable."
-                + THINNED,
+                + drawn([step, *(piece.reading.step for piece in inside)]),
             )
         )
-    longest = max((*outcome.test, *outcome.training), key=len)
+    segment = max((*outcome.test, *outcome.training), key=len)
+    longest = segment.samples
     made.append(
         album.add(
             plots.smoothing_effect(recordings[longest.recording], outcome.channel, longest),
             f"Recording {longest.recording}, a few seconds of {outcome.channel.signal} as the"
             " Workbench reads it [N, Nm]: the filter that channels and model share takes the noise"
-            " that would bias the regression towards zero.",
+            " that would bias the regression towards zero."
+            + one_in([segment.step], "smoothed sample"),
         )
     )
     if pieces:
@@ -105,7 +120,8 @@ def residual_figures(name: str, scores: Scores | None, album: Album) -> list[Tab
     made = [
         album.add(
             plots.residuals_in_time(name, scores.kind, some),
-            f"Recording {label}: sensor minus model [N, Nm] at {name}, {scores.kind}." + THINNED,
+            f"Recording {label}: sensor minus model [N, Nm] at {name}, {scores.kind}."
+            + drawn(piece.step for piece in some),
         )
         for label, some in by_recording.items()
     ]
@@ -113,7 +129,8 @@ def residual_figures(name: str, scores: Scores | None, album: Album) -> list[Tab
         album.add(
             plots.residual_spread(name, scores.kind, scores.pieces),
             f"Recording{'s' * (len(by_recording) > 1)} {', '.join(by_recording)}: how the"
-            f" {scores.kind} residuals at {name} are spread [N, Nm]; narrow is good.",
+            f" {scores.kind} residuals at {name} are spread [N, Nm]; narrow is good."
+            + one_in([piece.step for piece in scores.pieces], "sample"),
         )
     )
     return made
@@ -121,7 +138,7 @@ def residual_figures(name: str, scores: Scores | None, album: Album) -> list[Tab
 
 def knowledge_figures(outcome: SensorOutcome, album: Album) -> Table:
     """Return the figures of what the data excite and of how the prior was chosen."""
-    names = ", ".join(dict.fromkeys(segment.recording for segment in outcome.training))
+    names = ", ".join(dict.fromkeys(one.samples.recording for one in outcome.training))
     choice = outcome.fit.choice
     return {
         "directions": album.add(

@@ -95,7 +95,7 @@ def sensor_section(
         "k_fold": table_of(outcome.k_fold, outcome.verdicts if outcome.hold_out is None else ()),
         "samples": {
             "logged": sum(paired.logged for paired in outcome.paired),
-            "usable": sum(len(paired.samples) for paired in outcome.paired),
+            "usable": sum(paired.usable for paired in outcome.paired),
             "training": outcome.fit.samples,
             "less": outcome.fit.down_weighted,
             "least": float(outcome.fit.independent.min()),
@@ -174,7 +174,7 @@ def entries(
 def truth_section(outcome: SensorOutcome, gain: Float[Array, "6 K"], album: Album) -> Table:
     """Return the comparison with a known truth."""
     compared = Truth.of(outcome, gain)
-    names = ", ".join(dict.fromkeys(segment.recording for segment in outcome.training))
+    names = ", ".join(dict.fromkeys(one.samples.recording for one in outcome.training))
     channels = gain.shape[1]
     columns = list(AXES) if channels == 6 else [f"r{j + 1}" for j in range(channels)]
     return {

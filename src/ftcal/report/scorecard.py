@@ -12,7 +12,6 @@ from ftcal.excitation import Excitation
 from ftcal.fit import Fit
 from ftcal.one_sensor import SensorOutcome
 from ftcal.report.truth import Truth
-from ftcal.samples import sample_count
 from ftcal.sensor import AXES
 from ftcal.validate import Score, Scores
 from ftcal.verdict import overall
@@ -54,10 +53,10 @@ def sensor_metrics(
         "verdicts": {v.axis: {"verdict": v.word, "reason": v.reason} for v in outcome.verdicts},
         "samples": {
             "logged": sum(paired.logged for paired in outcome.paired),
-            "usable": sum(len(paired.samples) for paired in outcome.paired),
+            "usable": sum(paired.usable for paired in outcome.paired),
             "training": found.samples,
             "down_weighted": found.down_weighted,
-            "test": sample_count(outcome.test),
+            "test": sum(map(len, outcome.test)),
         },
         "independent": by_axis(found.independent),
         "noise": {"sd": by_axis(found.noise.sd), "inefficiency": by_axis(found.noise.inefficiency)},

@@ -16,7 +16,7 @@ from ftcal.report.album import THINNED, Album, Table
 from ftcal.report.study_metrics import chosen_left
 from ftcal.samples import Samples
 from ftcal.second_validation import BEST, MIXED, WORKBENCH, SecondValidation
-from ftcal.validate import HeldOut, held_out
+from ftcal.validate import HeldOut, held_out_samples
 
 if TYPE_CHECKING:
     from ftcal.study import SensorStudy
@@ -31,7 +31,9 @@ def space_figure(one: SensorStudy, takes: Mapping[str, Prepared], album: Album) 
     label = shown_recording(name, first, takes)
     stretch = unbroken(max(takes[label].sensors[name].segments, key=len))
     read: dict[tuple[str, str], HeldOut] = {
-        (training.recording, training.method): held_out(stretch, found.coefficients, workbench)
+        (training.recording, training.method): held_out_samples(
+            stretch, found.coefficients, workbench
+        )
         for training, found in zip(first.sets, first.estimates, strict=True)
     }
     readings = {key: piece.in_situ[:, :3] for key, piece in read.items()}
