@@ -18,7 +18,7 @@ from ftcal.logs.layout import Acceleration, Angle, AngularVelocity
 from ftcal.logs.units import STANDARD_G, factor, in_si, inertial_columns
 from ftcal.recording import Finding, Recording, Signal
 from ftcal.robot import Robot
-from ftcal.unit_doubts import doubted_units, turn_ratio
+from ftcal.turns import Turns
 from ftcal.urdf import parse_robot, read_robot
 from real import DATA, GENOVA02, needs_genova02
 from small_world import JOINTS, robot_text, take, write_world
@@ -70,8 +70,15 @@ def logged_in(signal: Signal, linear: Acceleration, angular: AngularVelocity) ->
 
 
 def doubts(*findings: Finding) -> list[str]:
-    assert not any(f.cut for f in findings)
-    return [f.message for f in findings if f.kind == "unit"]
+    units = [f for f in findings if f.kind == "unit"]
+    assert not any(f.cut for f in units)
+    return [f.message for f in units]
+
+
+def turn_ratio(imu: Signal) -> float:
+    turns = Turns([0, 1, 2], [3, 4, 5], imu.period)
+    turns.see(imu.stamps, imu.values.T)
+    return turns.ratio()
 
 
 @pytest.mark.parametrize(
@@ -129,13 +136,13 @@ def test_job_file_declares_units(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("seed", range(5))
 def test_imu_in_si_is_not_doubted(seed: int) -> None:
-    assert doubted_units(recording(imus=turning_imu(seed))) == ()
+    assert examine(recording(imus=turning_imu(seed))) == ()
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_g_and_degrees_read_as_si_are_named(seed: int) -> None:
     wrong = logged_in(turning_imu(seed), "g", "deg/s")
-    linear, angular = doubts(*doubted_units(recording(imus=wrong)))
+    linear, angular = doubts(*examine(recording(imus=wrong)))
     assert linear.startswith("waist: feels ")
     assert linear.endswith('gravity is 9.807: g? say acceleration = "g"')
     assert angular.endswith('say angular_velocity = "deg/s"')
@@ -144,7 +151,7 @@ def test_g_and_degrees_read_as_si_are_named(seed: int) -> None:
 def test_si_declared_as_g_and_degrees_is_named() -> None:
     layout = Layout(acceleration="g", angular_velocity="deg/s")
     wrong = in_si(recording(imus=turning_imu()), layout)
-    linear, angular = doubts(*doubted_units(wrong))
+    linear, angular = doubts(*examine(wrong))
     assert linear.endswith("already m/s^2? leave acceleration out")
     assert angular.endswith("already rad/s? leave angular_velocity out")
 
@@ -153,15 +160,16 @@ def test_gyroscope_at_rest_says_nothing_of_its_unit() -> None:
     imu = turning_imu()
     still = np.tile([0.0, 0.0, STANDARD_G, 0.0, 0.0, 0.0], (len(imu), 1))
     still += 0.01 * np.random.default_rng(0).normal(size=still.shape)
-    assert np.isnan(turn_ratio(imu, still[:, :3], still[:, 3:]))
-    assert doubted_units(recording(imus=replace(imu, values=still))) == ()
+    resting = replace(imu, values=still)
+    assert np.isnan(turn_ratio(resting))
+    assert examine(recording(imus=resting)) == ()
 
 
 def test_turn_of_gravity_is_not_taken_across_a_hole() -> None:
     imu = turning_imu(noise=0.0)
     kept = np.r_[0:500, 1200:2000]
     holed = replace(imu, stamps=imu.stamps[kept], values=imu.values[kept])
-    ratio = turn_ratio(holed, holed.values[:, :3], holed.values[:, 3:])
+    ratio = turn_ratio(holed)
     # rectangles for the integral of a smooth rate over 0.2 s, chords for the arcs
     assert ratio == pytest.approx(1.0, rel=0.02)
 
@@ -185,7 +193,7 @@ def test_columns_that_are_no_joints_are_not_doubted() -> None:
     values = np.hstack([0.5 * rng.normal(size=(100, 3)), 50.0 * rng.normal(size=(100, 9))])
     names = (*JOINTS, *(f"motor_{k}" for k in range(9)))
     log = recording(joints=Signal("arm", names, clock(100), values))
-    assert doubts(*doubted_units(log, ARM)) == []
+    assert doubts(*examine(log, robot=ARM)) == []
 
 
 @pytest.mark.parametrize(
@@ -195,7 +203,7 @@ def test_stamps_in_a_wrong_unit_are_named(period: float, hint: str) -> None:
     count = 100
     stamps = np.arange(count) * max(round(period * 1e9), 1)
     signal = Signal("left", ("fx",), stamps, np.random.default_rng(0).normal(size=(count, 1)))
-    (message,) = doubts(*doubted_units(recording(channels=signal)))
+    (message,) = doubts(*examine(recording(channels=signal)))
     assert hint in message
 
 
@@ -204,9 +212,9 @@ def test_stamps_in_a_wrong_unit_are_named(period: float, hint: str) -> None:
 def test_real_robots_are_not_doubted_in_degrees_and_are_in_radians(folder: str) -> None:
     robot = read_robot(GENOVA02 / "iCubGenova02.urdf")
     log = read(DATA / folder)
-    assert doubts(*doubted_units(log), *doubted_units(log, robot)) == []
+    assert doubts(*examine(log), *examine(log, robot=robot)) == []
     wrong = read(DATA / folder, Layout(angle="rad"))
-    assert len(doubts(*doubted_units(wrong, robot))) >= 2
+    assert len(doubts(*examine(wrong, robot=robot))) >= 2
 
 
 @pytest.mark.skipif(not ATI.is_dir(), reason="shared/data/ati-gamma-lbrmed is not here")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -36,9 +37,9 @@ class JointCheckup:
 
     def see(self, signal: Signal) -> None:
         """Take note of the next samples."""
-        for block in self.passage.blocks(signal):
+        self.angles.see(signal.values)
+        for block in self.passage.blocks(replace(signal, values=signal.values[:, :0])):
             self.clock.see(block)
-            self.angles.see(block.own)
 
 
 class ImuCheckup:

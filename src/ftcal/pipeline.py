@@ -7,7 +7,7 @@ is the same to the last bit.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from ftcal.archive import Shelf
@@ -22,7 +22,7 @@ from ftcal.pairing import FtChannel, one_sided
 from ftcal.progress import Progress, Steps, silent
 from ftcal.recording import Finding, Recording
 from ftcal.robot import Robot
-from ftcal.takes import Logs, PairedTake
+from ftcal.takes import Glimpses, Logs, PairedTake
 from ftcal.urdf import read_robot
 from ftcal.validate import Scores, held_out, score
 from ftcal.workbench import read_workbench
@@ -36,8 +36,8 @@ class Outcome:
     robot: Robot
     recordings: tuple[Recording, ...]
     """With the first and last sample of every signal only."""
-    logs: Mapping[str, Recording]
-    """The recordings whole, read again where they are looked at."""
+    logs: Glimpses
+    """The recordings, read again where they are looked at."""
     findings: tuple[tuple[str, Finding], ...]
     """Recording and finding, in order."""
     sensors: tuple[SensorOutcome, ...]

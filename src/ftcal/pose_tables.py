@@ -12,11 +12,12 @@ import numpy as np
 import pyarrow as pa
 from pyarrow import parquet
 
-from ftcal.errors import DataError, LogError, raise_all, unknown
+from ftcal.errors import LogError, raise_all, unknown
 from ftcal.logs import columns
 from ftcal.logs.layout import WRENCH_AXES, Layout
 from ftcal.logs.tables_csv import load_csv
 from ftcal.logs.tables_time import nanoseconds
+from ftcal.pose_clocks import joined
 from ftcal.poses import (
     SCALES,
     Attitude,
@@ -28,8 +29,7 @@ from ftcal.poses import (
     unit_of,
     unsteady_norm,
 )
-from ftcal.recording import NANOSECONDS, Signal
-from ftcal.signals import interpolate
+from ftcal.recording import Signal
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Int
@@ -47,12 +47,6 @@ SUFFIXES = frozenset({".csv", ".tsv", ".txt", ".parquet"})
 
 BROKEN = 1e9
 """Numbers beyond are broken, not large, in any unit."""
-
-FAST, OFTEN = np.radians(10.0), 0.05
-"""Gravity that turns faster [rad/s] in this share of the rows: the tool is thrown about."""
-
-RATE_SPAN = 0.2
-"""Seconds over which the turning of gravity is taken: an accelerometer's noise averages out."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -225,51 +219,14 @@ def _joined(
     logged: Float[Array, "M K"],
     steady: float | None,
 ) -> tuple[Int[Array, "N"], Float[Array, "L K"], str, list[str]]:
-    """Return the rows of the wrench that are kept, and the attitude on their clock.
-
-    Then why the tool did not rest, or nothing; and what was left out.
-    """
+    """Return rows, attitude, motion and notes as `pose_clocks.joined` does, of two tables."""
     stamps = home.clock()
     wrench = Signal("wrench", (), stamps, np.empty((len(stamps), 0)))
     wrench, kept, _ = columns.in_order(wrench, str(home.file), first_row=home.first_row)
     signal = Signal(attitude, tuple(map(str, range(logged.shape[1]))), other.clock(), logged)
     signal, _, _ = columns.in_order(signal, str(other.file), first_row=other.first_row)
-    rate = _rate(signal, gravity_in_sensor(attitude, signal.values))
-    both = Signal(attitude, (*signal.columns, "rate"), signal.stamps,
-                  np.column_stack([signal.values, rate]))  # fmt: skip
-    values = interpolate(both, wrench.stamps)
-    covered = np.isfinite(values).all(axis=1)
-    notes = []
-    if not covered.all():
-        notes.append(f"{int((~covered).sum())} of {len(wrench)} rows have no attitude; left out")
-    if not covered.any():
-        raise DataError(
-            f"{home.file}, {other.file}: no wrench within the time of the attitude; check --time"
-        )
-    moving = ""
-    if steady is None and np.mean(rate > FAST) > OFTEN:
-        moving = (
-            f"gravity turns at up to {np.degrees(rate.max()):.2g} deg/s: inertia is not in the"
-            " model; say --steady, or rest in each attitude"
-        )
-    if steady is not None:
-        still = covered & (values[:, -1] <= steady)
-        if not still.any():
-            raise DataError(
-                f"{other.file}: gravity never turns slower than"
-                f" {np.degrees(rate.min()):.3g} deg/s; raise --steady"
-            )
-        notes.append(f"{int(still.sum())} of {int(covered.sum())} rows are steady; others left out")
-        covered = still
-    return np.flatnonzero(kept)[covered], values[covered, :-1], moving, notes
-
-
-def _rate(signal: Signal, gravity: Float[Array, "N 3"]) -> Float[Array, "N"]:
-    """Return how fast the direction of gravity turns at each stamp [rad/s]."""
-    seconds = (signal.stamps - signal.stamps[0]) / NANOSECONDS
-    down = gravity / np.linalg.norm(gravity, axis=1, keepdims=True)
-    before = np.maximum(seconds - RATE_SPAN / 2, seconds[0])
-    after = np.minimum(seconds + RATE_SPAN / 2, seconds[-1])
-    turned = [np.interp(after, seconds, d) - np.interp(before, seconds, d) for d in down.T]
-    span = np.maximum(after - before, np.finfo(np.float64).tiny)
-    return np.asarray(np.linalg.norm(turned, axis=0) / span)
+    where = ", ".join(dict.fromkeys((str(home.file), str(other.file))))
+    rows, values, moving, notes = joined(
+        wrench, signal, attitude, steady=steady, where=where, cure="check --time"
+    )
+    return np.flatnonzero(kept)[rows], values, moving, notes

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import overload
+from typing import Protocol, overload
 
 from ftcal import logs
 from ftcal.config import Job, RecordingSection
@@ -56,6 +56,13 @@ class PairedTake:
         return replace(
             self, sensors={name: one.thinned(most) for name, one in self.sensors.items()}
         )
+
+
+class Glimpses(Protocol):
+    """Recordings by name, some seconds of which can be looked at."""
+
+    def between(self, name: str, start: float, stop: float) -> Recording:
+        """Return the samples of a recording in [start, stop) seconds."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -34,7 +34,7 @@ class Thinning:
         # a copy: a view would keep alive all that came with it
         self.kept.append(np.column_stack([part[some] for part in columns]))
         self.count += len(columns[0])
-        if sum(map(len, self.kept)) > 2 * self.most:
+        if sum(map(len, self.kept)) > self.most + self.most // 4:
             self.kept = [self.rows()]
 
     def rows(self) -> Float[Array, "M D"]:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ftcal.blocks import Selection
+from ftcal.blocks import BLOCK, Selection
 from ftcal.logs.units import STANDARD_G, inertial_columns
 from ftcal.recording import Signal
 from ftcal.robot import Joint, Robot
@@ -69,11 +69,13 @@ class Angles:
     def __post_init__(self) -> None:
         self.farthest = np.zeros(len(self.columns))
 
-    def see(self, columns: Float[Array, "J B"]) -> None:
-        """Take note of the next samples, of which there is one at least."""
-        self.count += columns.shape[1]
-        ends = columns.max(axis=1), -columns.min(axis=1)
-        self.farthest = np.maximum(self.farthest, np.maximum(*ends))
+    def see(self, values: Float[Array, "N J"]) -> None:
+        """Take note of the next samples."""
+        self.count += len(values)
+        for start in range(0, len(values), BLOCK):
+            some = values[start : start + BLOCK]
+            ends = some.max(axis=0), -some.min(axis=0)
+            self.farthest = np.maximum(self.farthest, np.maximum(*ends))
 
     def doubts(self) -> Iterator[str]:
         """Yield what is doubtful about the unit of the joints."""

@@ -190,8 +190,9 @@ def blocks(file: Path, lines: Form, *, size: int, scale: float = 1.0) -> Iterato
 
 def _block(text: bytes, start: int, lines: Form, file: Path, scale: float) -> Samples:
     """Return the samples in the `text` of whole lines that begins at byte `start` of `file`."""
-    clean = text.translate(None, _MARKS) if lines.grouped else text
-    return _samples(pa.BufferReader(clean), lines, file, scale, lambda: clean, start)
+    if lines.grouped:
+        text = text.translate(None, _MARKS)  # a large file is not held twice
+    return _samples(pa.BufferReader(text), lines, file, scale, lambda: text, start)
 
 
 def _samples(

@@ -15,7 +15,7 @@ from __future__ import annotations
 import importlib.util
 import tempfile
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -33,7 +33,8 @@ from ftcal.logs.ros_topic import Topic, no_foreign_errors
 from ftcal.logs.ros_zstd import unfold
 from ftcal.recording import Recording, Signal
 
-__all__ = ["SUFFIXES", "Content", "Found", "found", "holds", "kind_of", "opened", "read"]
+__all__ = ["SUFFIXES", "Content", "Found", "found", "holds", "kind_of", "opened", "read",
+           "readers"]  # fmt: skip
 
 TOLD = 12
 """Topics that a finding lists by name."""
@@ -78,6 +79,19 @@ def opened(path: Path) -> ros_files.Bag:
     return ros_files.find(path)
 
 
+def readers(bag: ros_files.Bag) -> Iterator[tuple[Path, McapFile | RosbagsFile]]:
+    """Return what reads each file of a bag, in their order, unpacked where it is packed."""
+    for file in bag.files:
+        with tempfile.TemporaryDirectory() as scratch:
+            plain = file
+            if file.suffix.lower() == ".zstd":
+                plain = Path(scratch) / file.stem
+                with no_foreign_errors(str(file)):
+                    unfold(file, plain, str(file))
+            reader = McapFile if ros_files.kind_of(file) == ".mcap" else RosbagsFile
+            yield file, reader(plain, str(file), squeezed=bag.squeezed)
+
+
 @dataclass(frozen=True, slots=True)
 class Content:
     """What a bag holds."""
@@ -109,24 +123,16 @@ def _content(path: Path, bag: ros_files.Bag, layout: Layout) -> Content:
     faults: list[str] = []
     decoders: dict[Topic, Decoder] = {}
     groups: dict[str, dict[Key, Held]] = {}
-    for file in bag.files:
-        with tempfile.TemporaryDirectory() as scratch:
-            plain = file
-            if file.suffix.lower() == ".zstd":
-                plain = Path(scratch) / file.stem
-                with no_foreign_errors(str(file)):
-                    unfold(file, plain, str(file))
-            reader = McapFile if ros_files.kind_of(file) == ".mcap" else RosbagsFile
-            opened = reader(plain, str(file), squeezed=bag.squeezed)
-            for batch in opened.batches(lambda topic: kind_of(topic, layout) is not None):
-                topic = batch.topic
-                if topic not in decoders and (kind := kind_of(topic, layout)) is not None:
-                    decoders[topic] = Decoder(topic, kind, f"{path}: topic {topic.name!r}")
-                same = groups.setdefault(topic.name, {})
-                for piece in decoders[topic].pieces(batch):
-                    same.setdefault(piece.key, Held()).pieces.append(piece)
-            counts.update(opened.counts)
-            faults += [f"{file.name}: {fault}" for fault in opened.faults]
+    for file, reader in readers(bag):
+        for batch in reader.batches(lambda topic: kind_of(topic, layout) is not None):
+            topic = batch.topic
+            if topic not in decoders and (kind := kind_of(topic, layout)) is not None:
+                decoders[topic] = Decoder(topic, kind, f"{path}: topic {topic.name!r}")
+            same = groups.setdefault(topic.name, {})
+            for piece in decoders[topic].pieces(batch):
+                same.setdefault(piece.key, Held()).pieces.append(piece)
+        counts.update(reader.counts)
+        faults += [f"{file.name}: {fault}" for fault in reader.faults]
     return Content(counts, groups, tuple(faults))
 
 

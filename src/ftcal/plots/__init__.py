@@ -17,6 +17,7 @@ from ftcal.plots.whole_body import Node, share_map, stretch_curve, sub_model_gra
 from ftcal.plots.wrench import (
     Piece,
     forces_in_space,
+    glimpse_in,
     residual_spread,
     residuals_in_time,
     smoothing_effect,
@@ -31,6 +32,7 @@ __all__ = [
     "directions",
     "elsewhere_map",
     "forces_in_space",
+    "glimpse_in",
     "health_timeline",
     "leftover_in_time",
     "matrices_in_space",

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from ftcal.pairing import FtChannel
+from ftcal.pairing import FtChannel, SignalOptions
 from ftcal.plots.figure import (
     BLUE,
     GREY,
@@ -28,6 +28,7 @@ from ftcal.plots.figure import (
 from ftcal.recording import Recording
 from ftcal.samples import Samples
 from ftcal.sensor import AXES, UNITS
+from ftcal.signals import odd_window, runs, smooth_runs
 from ftcal.validate import HeldOut
 
 if TYPE_CHECKING:
@@ -252,22 +253,38 @@ def force_scene(force: Float[Array, "N 3"]) -> dict[str, Any]:
     }
 
 
-def smoothing_effect(recording: Recording, channel: FtChannel, stretch: Samples) -> Figure:
-    """Return a few seconds of the Workbench's reading before and after the filter [N, Nm]."""
-    half = min(GLIMPSE, float(stretch.time[-1] - stretch.time[0])) / 2
-    middle = 0.5 * float(stretch.time[-1] + stretch.time[0])
-    some = stretch.between(middle - half, middle + half)
-    signal = recording.channel(channel.signal)
-    seconds = recording.seconds(signal)
-    rows = (seconds >= middle - half) & (seconds < middle + half)
-    gain = channel.workbench.gain
-    raw = channel.workbench.channels(signal.values[rows]) @ gain.T
-    title = f"{channel.signal} by the Workbench, before and after smoothing: {recording.name}"
+def glimpse_in(start: float, stop: float) -> tuple[float, float]:
+    """Return some seconds in the middle of a stretch, the same for stretches nearly alike."""
+    half = min(GLIMPSE, stop - start) / 2
+    middle = (
+        float(np.rint(0.5 * (start + stop)))
+        if stop - start > 2 * GLIMPSE
+        else (0.5 * (start + stop))
+    )
+    return middle - half, middle + half
+
+
+def smoothing_effect(
+    glimpse: Recording, channel: FtChannel, options: SignalOptions, span: tuple[float, float]
+) -> Figure:
+    """Return the Workbench's reading in a span [s] before and after the filter [N, Nm].
+
+    `glimpse` is the recording there, and half a smoothing window around it.
+    """
+    signal = glimpse.channel(channel.signal)
+    seconds = glimpse.seconds(signal)
+    inside = (seconds >= span[0]) & (seconds < span[1])
+    raw = channel.workbench.channels(signal.values) @ channel.workbench.gain.T
+    window = odd_window(options.smoothing, signal.period)
+    stretches = runs(signal, max_gap=options.max_gap)
+    smoothed = smooth_runs(raw, stretches, window, options.smoothing_order)
+    known = inside & np.isfinite(smoothed).all(axis=1)
+    title = f"{channel.signal} by the Workbench, before and after smoothing: {glimpse.name}"
     layout = six_panels(title, 480, "time [s]")
     traces = []
     shown = (
-        ("as logged", seconds[rows], raw, {"color": ORANGE, "width": 1}),
-        ("smoothed", some.time, some.channels @ gain.T, {"color": "#000", "width": 2}),
+        ("as logged", seconds[inside], raw[inside], {"color": ORANGE, "width": 1}),
+        ("smoothed", seconds[known], smoothed[known], {"color": "#000", "width": 2}),
     )
     for name, time, values, line in shown:
         broken, table = with_holes(time, values)

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from typing import Any, Literal
 
 from ftcal import plots
 from ftcal.one_sensor import SensorOutcome
+from ftcal.pairing import SignalOptions
 from ftcal.plots import POINTS, Figure, Piece
-from ftcal.recording import Recording
 from ftcal.segments import Segment
+from ftcal.takes import Glimpses
 from ftcal.validate import HeldOut, Scores, held_out
 
 Table = dict[str, Any]
@@ -58,7 +59,7 @@ def drawn(steps: Iterable[int]) -> str:
 
 
 def wrench_figures(
-    outcome: SensorOutcome, recordings: Mapping[str, Recording], album: Album
+    outcome: SensorOutcome, logs: Glimpses, options: SignalOptions, album: Album
 ) -> list[Table]:
     """Return the figures of wrenches: in time per recording, smoothing, forces in space."""
     name = outcome.sensor.name
@@ -87,15 +88,16 @@ def wrench_figures(
                 + drawn([step, *(piece.reading.step for piece in inside)]),
             )
         )
-    segment = max((*outcome.test, *outcome.training), key=len)
-    longest = segment.samples
+    longest = max((*outcome.test, *outcome.training), key=len).samples
+    span = plots.glimpse_in(float(longest.time[0]), float(longest.time[-1]))
+    around = (span[0] - options.smoothing, span[1] + options.smoothing)
+    glimpse = logs.between(longest.recording, *around)
     made.append(
         album.add(
-            plots.smoothing_effect(recordings[longest.recording], outcome.channel, longest),
+            plots.smoothing_effect(glimpse, outcome.channel, options, span),
             f"Recording {longest.recording}, a few seconds of {outcome.channel.signal} as the"
             " Workbench reads it [N, Nm]: the filter that channels and model share takes the noise"
-            " that would bias the regression towards zero."
-            + one_in([segment.step], "smoothed sample"),
+            " that would bias the regression towards zero.",
         )
     )
     if pieces:

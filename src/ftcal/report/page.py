@@ -15,6 +15,7 @@ from ftcal import plots
 from ftcal.calibration import SensorCalibration
 from ftcal.judging import SensorResult
 from ftcal.one_sensor import SensorOutcome
+from ftcal.pairing import SignalOptions
 from ftcal.recording import Finding, Recording
 from ftcal.report.album import (
     Album,
@@ -27,6 +28,7 @@ from ftcal.report.rendering import rendered
 from ftcal.report.truth import Truth
 from ftcal.report.words import strength
 from ftcal.sensor import AXES, UNITS
+from ftcal.takes import Glimpses
 from ftcal.validate import Score, Scores
 from ftcal.verdict import Verdict, advice, overall
 
@@ -49,6 +51,7 @@ def html(outcome: Outcome, truth: Mapping[str, Float[Array, "6 K"]] | None = Non
             sensor,
             outcome.calibration.sensor(sensor.sensor.name),
             outcome.logs,
+            outcome.job.signals.options(),
             (truth or {}).get(sensor.sensor.name),
             album,
         )
@@ -73,7 +76,8 @@ def sensor_section(
     number: int,
     outcome: SensorOutcome,
     calibration: SensorCalibration,
-    recordings: Mapping[str, Recording],
+    logs: Glimpses,
+    options: SignalOptions,
     truth: Float[Array, "6 K"] | None,
     album: Album,
 ) -> Table:
@@ -102,7 +106,7 @@ def sensor_section(
             "most": float(outcome.fit.independent.max()),
         },
         "prior": strength(outcome.fit),
-        "wrenches": wrench_figures(outcome, recordings, album),
+        "wrenches": wrench_figures(outcome, logs, options, album),
         "residuals": residual_figures(name, scores, album),
         "knowledge": knowledge_figures(outcome, album),
         "excitation": outcome.fit.excitation,
