@@ -21,6 +21,12 @@ PARTS = {
     "geometry_msgs/Vector3": "float64 x\nfloat64 y\nfloat64 z\n",
     "geometry_msgs/Quaternion": "float64 x\nfloat64 y\nfloat64 z\nfloat64 w\n",
     "geometry_msgs/Wrench": "geometry_msgs/Vector3 force\ngeometry_msgs/Vector3 torque\n",
+    "geometry_msgs/Point": "float64 x\nfloat64 y\nfloat64 z\n",
+    "geometry_msgs/Pose": "geometry_msgs/Point position\ngeometry_msgs/Quaternion orientation\n",
+    "geometry_msgs/Transform": "geometry_msgs/Vector3 translation\n"
+    "geometry_msgs/Quaternion rotation\n",
+    "geometry_msgs/TransformStamped": HEADER
+    + "string child_frame_id\ngeometry_msgs/Transform transform\n",
 }
 TYPES = {
     "sensor_msgs/JointState":
@@ -36,6 +42,8 @@ TYPES = {
         "=" * 80 + "\nMSG: std_msgs/MultiArrayDimension\nstring label\nuint32 size\n"
         "uint32 stride\n",
     "std_msgs/String": "string data\n",
+    "tf2_msgs/TFMessage": "geometry_msgs/TransformStamped[] transforms\n",
+    "geometry_msgs/PoseStamped": HEADER + "geometry_msgs/Pose pose\n",
 }  # fmt: skip
 
 
@@ -104,6 +112,18 @@ def imu(
     nine = (known, *(0.0,) * 8)
     packed = Bytes(ros1=ros1).header(stamp, "imu").pack("d", 0.0, 0.0, 0.0, 1.0, *nine)
     return packed.pack("d", *gyro, *(0.0,) * 9, *accel, *nine).done()
+
+
+def transforms(*some: tuple[int, str, str, Sequence[float]], ros1: bool = False) -> bytes:
+    """Pack stamp, parent, child and quaternion x y z w of each transform."""
+    packed = Bytes(ros1=ros1).pack("I", len(some))
+    for stamp, parent, child, quaternion in some:
+        packed.header(stamp, parent).text(child).pack("d", 0.1, 0.2, 0.3, *quaternion)
+    return packed.done()
+
+
+def pose(stamp: int, quaternion: Sequence[float], *, frame: str = "base_link") -> bytes:
+    return Bytes().header(stamp, frame).pack("d", 0.1, 0.2, 0.3, *quaternion).done()
 
 
 def array(values: Sequence[float], *, ros1: bool = False) -> bytes:

@@ -126,7 +126,8 @@ def small_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(blocks, "BLOCK", SMALL)
     for module in (freezes, serials, unit_doubts):
         monkeypatch.setattr(module, "ROOM", 4 * SMALL)
-    monkeypatch.setattr(turns, "SPAN", 4 * SMALL)
+    for module in (blocks, turns):
+        monkeypatch.setattr(module, "SPAN", 2 * SMALL)
     monkeypatch.setattr(turns, "LAG", 0.02)
     monkeypatch.setattr(plateaus, "PLATEAU_VALUES", 5)
 
@@ -270,7 +271,7 @@ def test_serial_number_of_a_long_log_is_told_from_some_of_its_samples(
 
 
 def test_unusual_holds_of_a_long_log_are_still_frozen(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(blocks, "BLOCK", 64)
+    monkeypatch.setattr(blocks, "SPAN", 64)
     monkeypatch.setattr(freezes, "ROOM", 128)
     ft = lively(6000)
     values = np.repeat(ft.values[:600], 10, axis=0)  # each held for ten samples

@@ -132,16 +132,19 @@ def test_with_the_in_situ_offset_another_record_is_kept(warm: Job, tmp_path: Pat
     for job in (warm, in_situ):
         work = work_of(job, robot, channels)["t3"]
         kept += [paired_take(work, shelf), paired_take(work, shelf)]
-    assert [one.sensors["ft_sensor"].attitude is None for one in kept] == [True, True, False, False]
+    assert [one.sensors["ft_sensor"].training[0].attitude is None for one in kept] == [True, True, False, False]
 
 
 def test_logs_are_read_when_they_are_looked_at(warm: Job) -> None:
     logs = Logs(warm)
-    assert list(logs) == ["t3", "t4"]
-    assert len(logs["t4"].channels[0]) == 4000
-    assert logs["t4"] is logs["t4"]
+    seen = logs.between("t4", 10.0, 12.0)
+    signal = seen.channels[0]
+    assert seen.name == "t4"
+    # 100 Hz, from second zero on
+    np.testing.assert_allclose(seen.seconds(signal), np.arange(1000, 1200) / 100, atol=1e-6)
+    assert logs.between("t4", 10.0, 12.0) is seen
     with pytest.raises(KeyError):
-        logs["t5"]
+        logs.between("t5", 0.0, 1.0)
 
 
 def test_all_broken_recordings_are_told_at_once_wherever_they_were_read(

@@ -241,7 +241,7 @@ def test_auto_breaks_do_as_well_as_breaks_by_hand(tmp_path: Path) -> None:
     assert percent(auto) == pytest.approx(percent(by_hand), abs=2.0)
     assert percent(uncut) > percent(by_hand) + 5.0
     # two offsets, and what the filter smears over 14 s is in neither
-    first, second = auto.sensors[0].training
+    first, second = (segment.samples for segment in auto.sensors[0].training)
     assert first.stop == second.start == pytest.approx(14.0, abs=0.3)
     assert first.time[-1] < 13.7
     assert second.time[0] > 14.3
@@ -254,7 +254,7 @@ def test_what_is_held_out_is_the_same_with_auto_breaks(tmp_path: Path) -> None:
     plain = calibrate(job_with(tmp_path, train=[[15.0, 26.0]]))
     auto = calibrate(job_with(tmp_path, train=[[15.0, 26.0]], breaks="auto"))
     for one, other in zip(plain.sensors[0].test, auto.sensors[0].test, strict=True):
-        np.testing.assert_array_equal(one.time, other.time)
+        np.testing.assert_array_equal(one.samples.time, other.samples.time)
 
 
 def test_breaks_by_hand_split_a_window_and_keep_its_samples(tmp_path: Path) -> None:
@@ -268,12 +268,13 @@ def test_breaks_by_hand_split_a_window_and_keep_its_samples(tmp_path: Path) -> N
 def test_windows_left_out_are_not_trained_on(tmp_path: Path) -> None:
     out = {LEG: [[5.0, 9.0], [27.0, 30.0]]}
     (sensor,) = calibrate(job_with(tmp_path, train=[[0.0, 13.0]], leave_out=out)).sensors
-    (segment,) = sensor.training
+    (trained,) = sensor.training
+    segment = trained.samples
     assert not ((segment.time >= 5.0) & (segment.time < 9.0)).any()
     assert (segment.time < 5.0).any()
     assert (segment.time > 9.0).any()
     # held out is held out
-    assert sensor.test[0].time[0] == pytest.approx(28.0, abs=0.1)
+    assert sensor.test[0].samples.time[0] == pytest.approx(28.0, abs=0.1)
 
 
 def job_text(extra: str) -> str:

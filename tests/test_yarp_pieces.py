@@ -310,6 +310,37 @@ def test_what_is_no_log_is_refused_alike(tmp_path: Path, fault: str) -> None:
 
 
 @pytest.mark.usefixtures("small")
+@one_folder
+@given(
+    grouped=st.booleans(),
+    scars=st.lists(
+        st.tuples(
+            st.floats(0, 1), st.integers(0, 3),
+            st.sampled_from([b"", b"\n", b"\r\n", b" ", b"(", b"-", b"9", b"nan", b"\0", b"\xff"]),
+        ),
+        min_size=1, max_size=3,
+    ),
+)  # fmt: skip
+def test_a_damaged_log_is_refused_by_both_or_read_alike(
+    grouped: bool, scars: list[tuple[float, int, bytes]], tmp_path: Path
+) -> None:
+    name = "torso/stateExt:o" if grouped else "leg/analog:o"
+    whole = Port(angles(23) if grouped else forces(23)).write(tmp_path, name) / "data.log"
+    text = whole.read_bytes()
+    for place, lost, added in scars:
+        at = round(place * len(text))
+        text = text[:at] + added + text[at + lost :]
+    whole.write_bytes(text)
+    try:
+        expected = logs.read(whole)
+    except LogError:
+        with pytest.raises(LogError):
+            logs.in_pieces(whole)
+    else:
+        assert_same(put_together(list(in_blocks(whole).pieces(rows=7))), expected)
+
+
+@pytest.mark.usefixtures("small")
 @pytest.mark.parametrize("fate", ["shorter", "gone"])
 def test_a_log_that_changes_while_it_is_read_is_named(tmp_path: Path, fate: str) -> None:
     file = Port(forces(200)).write(tmp_path, "leg/analog:o") / "data.log"

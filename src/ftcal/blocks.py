@@ -19,7 +19,10 @@ if TYPE_CHECKING:
     from numpy import ndarray as Array
 
 BLOCK = 1 << 14
-"""Most samples of a block: six channels of them stay in cache. A block ends at each multiple."""
+"""Most samples of a block: six channels of them stay in cache."""
+
+SPAN = 1 << 17
+"""At each multiple of so many samples a block ends, wherever the pieces do."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,7 +64,7 @@ class Passage:
         """Yield the next samples of the signal, which are all those of `signal`."""
         start, breaks = 0, np.asarray(signal.breaks, dtype=np.int64)
         while start < len(signal):
-            stop = min(start + BLOCK - self.rows % BLOCK, len(signal))
+            stop = min(start + BLOCK, start + SPAN - self.rows % SPAN, len(signal))
             before = int(self.last is not None)
             begin = start - before if start else 0
             stamps, columns = signal.stamps[begin:stop], signal.values[begin:stop].T

@@ -167,6 +167,11 @@ class FrameTree:
         base_R_root = np.swapaxes(_product(list(reversed(up)), clock), 1, 2)
         rotation = base_R_root @ _product(list(reversed(down)), clock)
         known = np.isfinite(rotation).all(axis=(1, 2))
+        if not known.any():
+            raise DataError(
+                f"{self.source}: the transforms between {base!r} and {sensor!r} are at no time all"
+                " known; record them in one run, more than once each"
+            )
         names = tuple(f"r{row}{column}" for row in (1, 2, 3) for column in (1, 2, 3))
         return Signal(f"{base} -> {sensor}", names, clock[known],
                       np.ascontiguousarray(rotation[known].reshape(-1, 9)))  # fmt: skip

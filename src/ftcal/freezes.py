@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ftcal.blocks import Block
+from ftcal.blocks import SPAN, Block
 from ftcal.stretches import NONE, Runs, stretches_of
 
 if TYPE_CHECKING:
@@ -25,7 +25,7 @@ ENOUGH_HOLDS = 20
 LONGER = 5.0
 """Times by which a freeze is longer than 95 % of the holds."""
 
-ROOM = 1 << 20
+ROOM = 8 * SPAN
 """Samples after which holds that are not five times as long as usual so far are forgotten."""
 
 

@@ -30,7 +30,7 @@ class Doctor:
 
     Exact whatever the length are holes, saturation, plateaus and angles; freezes up to 2^20 samples
     of a signal, the median of an imu up to 2^17, and serial numbers up to 2^15: beyond, some of the
-    samples decide (`freezes.ROOM`, `unit_doubts.ROOM`, `turns.SPAN`, `serials.ROOM`).
+    samples decide (`freezes.ROOM`, `unit_doubts.ROOM`, `turns.Turns`, `serials.ROOM`).
     """
 
     def __init__(

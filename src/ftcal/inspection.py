@@ -62,7 +62,9 @@ def inspected(
     schedule = diagnosis.throughout(recording, contacts) if contacts else None
     if feet is not None and model is not None:
         timeline = propose_timeline(recording, model, feet, findings=findings)
-        schedule = schedule or diagnosis.touching(timeline.phases)
+        shown = diagnosis.touching(timeline.phases)
+        if schedule is None and shown.intervals:
+            schedule = shown
     return Inspection(recording, model, findings, timeline, schedule)
 
 

@@ -8,16 +8,15 @@ knows.
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
-from ftcal.contact import ContactSchedule, Interval
+from ftcal.contact import ContactSchedule
 from ftcal.firmware import estimate_full_scale
 from ftcal.health import logs_counts
 from ftcal.recording import Recording, Signal
 from ftcal.robot import Robot
-from ftcal.timeline import matching_signals
+from ftcal.timeline import inwards, matching_signals, to_toml
 
 HELD_OUT = 0.25
 """Share of an interval that is proposed as test, at its end."""
@@ -97,15 +96,7 @@ def contact_lines(
         link = "base_link" if robot is None else robot.root
         yield f"contact = {quoted(link)}  # ? link that touches the world; or ask with --feet"
         return
-    first = schedule.intervals[0]
-    if first.start <= 0.0 and first.stop >= recording.duration:
-        yield f"contact = {links(first)}"
-        return
-    yield "contacts = ["
-    for interval in schedule.intervals:
-        start, stop = inwards(interval.start, interval.stop)
-        yield f"  {{ start = {start:.2f}, stop = {stop:.2f}, link = {links(interval)} }},"
-    yield "]"
+    yield to_toml(schedule, duration=recording.duration)
 
 
 def window_lines(recording: Recording, schedule: ContactSchedule | None) -> Iterator[str]:
@@ -126,22 +117,11 @@ def window_lines(recording: Recording, schedule: ContactSchedule | None) -> Iter
         yield from listed("test", test)
 
 
-def inwards(start: float, stop: float) -> tuple[float, float]:
-    """Return a span rounded inwards to 10 ms."""
-    return math.ceil(100 * start) / 100, math.floor(100 * stop) / 100
-
-
 def listed(key: str, spans: Iterable[tuple[float, float]]) -> list[str]:
     """Return windows as TOML: on a line where they find room, else a line each."""
     windows = [f"[{a:.2f}, {b:.2f}]" for a, b in spans]
     line = f"{key} = [{', '.join(windows)}]"
     return [line] if len(line) <= WIDTH else [f"{key} = [", *(f"  {w}," for w in windows), "]"]
-
-
-def links(interval: Interval) -> str:
-    """Return the links that touch in an interval as TOML, the one that stands still first."""
-    names = [quoted(name) for name in interval.touching]
-    return names[0] if len(names) == 1 else f"[{', '.join(names)}]"
 
 
 def quoted(text: str) -> str:

@@ -131,18 +131,27 @@ class Stacked:
 
     def merged(self, starts: Int[Array, "G"]) -> Stacked:
         """Return neighbours put together: group g is `starts[g]` to before `starts[g + 1]`."""
-        if len(starts) == len(self):
-            return self
-        which = np.repeat(np.arange(len(starts)), np.diff(np.append(starts, len(self))))
-        count = np.add.reduceat(self.count, starts)
+        sizes = np.diff(np.append(starts, len(self)))
+        several = sizes > 1
+        found = self[starts]
+        if not several.any():
+            return found
+        # most are alone where cells are merged that a border of two portions has cut
+        some = self[np.repeat(several, sizes)]
+        counts = sizes[several]
+        begin = np.cumsum(counts) - counts
+        which = np.repeat(np.arange(len(counts)), counts)
+        count = np.add.reduceat(some.count, begin)
         safe = np.where(count > 0, count, 1.0)
         # about one of the means: the others are near it, zero is not
-        steps = self.mean - self.mean[starts][which]
-        step = np.add.reduceat(self.count[:, None] * steps, starts) / safe[:, None]
+        steps = some.mean - some.mean[begin][which]
+        step = np.add.reduceat(some.count[:, None] * steps, begin) / safe[:, None]
         apart = steps - step[which]
-        between = (self.count[:, None] * apart)[:, :, None] * apart[:, None, :]
-        scatter = np.add.reduceat(self.scatter + between, starts)
-        return Stacked(count, self.mean[starts] + step, scatter)
+        between = (some.count[:, None] * apart)[:, :, None] * apart[:, None, :]
+        found.count[several] = count
+        found.mean[several] += step
+        found.scatter[several] = np.add.reduceat(some.scatter + between, begin)
+        return found
 
     def moved(self, by: Float[Array, "D"]) -> Stacked:
         """Return the moments of the same rows with `by` added to each."""

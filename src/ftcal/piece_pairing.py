@@ -312,18 +312,22 @@ def _parts(
 ) -> Iterator[Part]:
     """Yield which sensors are paired in which interval, as far as the log reaches."""
     alike: dict[tuple[Interval, frozenset[str]], list[FtChannel]] = {}
+    joints_of: dict[tuple[str, str], tuple[str, ...]] = {}
     for channel in channels:
         runs_of_signal = clocks["channels", channel.signal].runs
         for interval in one_sided(robot, channel.sensor, schedule).intervals:
             spans = (runs_of_signal[:, :2] - head.start) / NANOSECONDS
             if not ((spans[:, 1] >= interval.start) & (spans[:, 0] < interval.stop)).any():
                 continue
-            needed = robot.required_joints(channel.sensor, interval.link)
+            key = (channel.sensor, interval.link)
+            if key not in joints_of:
+                joints_of[key] = robot.required_joints(*key)
+            needed = joints_of[key]
             owners = joint_owners(head, needed)
             signals = frozenset(owners[joint].name for joint in needed)
             alike.setdefault((interval, signals), []).append(channel)
     for (interval, _), some in alike.items():
-        every = {j for c in some for j in robot.required_joints(c.sensor, interval.link)}
+        every = {j for c in some for j in joints_of[c.sensor, interval.link]}
         columns = {
             signal.name: [k for k, joint in enumerate(signal.columns) if joint in every]
             for signal in head.joints

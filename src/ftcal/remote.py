@@ -19,6 +19,9 @@ MARKS = ("size", "ETag", "etag", "mtime", "LastModified", "last_modified", "md5H
          "created")  # fmt: skip
 """What file systems call that which changes with a file."""
 
+PACKAGES = {"smbclient": "smbprotocol"}
+"""Packages whose name is not that of their module."""
+
 OUTSIDE = "its name leads out of the folder"
 
 CHUNK = 1 << 24
@@ -44,6 +47,8 @@ def fetched(url: str, folder: Path, *, progress: Progress = silent) -> tuple[Pat
     try:
         far, root = fsspec.core.url_to_fs(url)
         told = far.find(root, detail=True)
+    except ImportError as error:
+        raise JobError(f"{url}: {remedy(url, error)}") from error
     except Exception as error:  # each protocol has errors of its own, of no common kind
         raise JobError(f"{url}: cannot be opened ({in_a_line(error)})") from error
     base = folder / hashlib.sha256(url.encode()).hexdigest()[:16]
@@ -85,6 +90,17 @@ def fetch(far: Any, name: str, known: dict[str, Any], here: Path, mark: Path) ->
         return in_a_line(error)
     write_whole(mark, told.encode())
     return ""
+
+
+def remedy(url: str, error: ImportError) -> str:
+    """Return what to install for a URL whose file system could not be imported."""
+    cause = error.__cause__
+    module = cause.name if isinstance(cause, ImportError) else None
+    if module is None:
+        return f"cannot be opened ({in_a_line(error)})"
+    name = module.partition(".")[0]
+    protocol, package = url.partition("://")[0], PACKAGES.get(name, name)
+    return f'{protocol}:// needs {package}: pip install "ftcal[remote]" {package}'
 
 
 def in_a_line(error: Exception) -> str:

@@ -25,7 +25,7 @@ from ftcal.report.words import percent, strength
 from ftcal.robot import Robot
 from ftcal.sensor import AXES
 from ftcal.steps import Step
-from ftcal.timeline import Phase, schedule, to_toml
+from ftcal.timeline import Phase, to_toml
 from ftcal.validate import Score, Scores
 from ftcal.verdict import Verdict, advice, overall
 
@@ -133,19 +133,31 @@ EACH = {"offset step", "touch"}
 
 
 def print_findings(console: Console, findings: Sequence[tuple[str, Finding]]) -> None:
-    """Print what the data doctor found, one line for each kind and signal, what is cut first."""
+    """Print what the data doctor found, one line for each kind and signal, what is cut first.
+
+    Where stretches are cut, the note that sums them up is their line.
+    """
+    cut = {(recording, one.signal, one.kind) for recording, one in findings if one.cut}
+    sums: dict[tuple[str, str, str], Finding] = {}
     groups: dict[tuple[bool, str, str, str, float], list[Finding]] = {}
     for recording, finding in findings:
+        named = (recording, finding.signal, finding.kind)
+        if not finding.cut and named in cut:
+            sums[named] = finding
+            continue
         when = finding.start if finding.kind in EACH else 0.0
-        key = (not finding.cut, recording, finding.signal, finding.kind, when)
+        key = (not finding.cut, *named, when)
         groups.setdefault(key, []).append(finding)
     if not groups:
         return
     console.print(Text("data health", "bold"))
     lines = Table.grid(padding=(0, 2))
     for (kept, recording, signal, kind, _), found in sorted(groups.items()):
-        message = found[0].message.removeprefix(f"{signal}: ")
-        if len(found) > 1:
+        summary = None if kept else sums.get((recording, signal, kind))
+        message = (summary or found[0]).message.removeprefix(f"{signal}: ")
+        if summary is not None:
+            message += f"; between {summary.start:.2f} and {summary.stop:.2f} s"
+        elif len(found) > 1:
             lengths = [finding.stop - finding.start for finding in found]
             message = (
                 f"{kind} {len(found)} times, {sum(lengths):.1f} s in all, longest"
@@ -264,17 +276,19 @@ def print_inspection(console: Console, seen: Inspection) -> None:
     print_findings(console, [(seen.recording.name, finding) for finding in seen.findings])
     if seen.phases:
         print_phases(console, seen.phases)
+        if seen.contacts is not None:
+            console.print(Text("proposed for the recording in the job file:"))
+            text = to_toml(seen.contacts, duration=seen.recording.duration)
+            console.print(Text(text), soft_wrap=True)
     if seen.diagnosis is not None:
         print_diagnosis(console, seen.diagnosis)
         print_noticed(console, seen.delays, seen.steps or {})
 
 
 def print_phases(console: Console, phases: Sequence[Phase]) -> None:
-    """Print who stood when, and the contacts of a job file that follow from it."""
+    """Print who stood when."""
     made = table("contact", "start", "stop", "feet", right=(1, 2))
     for phase in phases:
         span = f"{phase.start:.2f} s", f"{phase.stop:.2f} s"
         made.add_row(phase.kind, *span, Text(", ".join(phase.feet)))
     console.print(made)
-    console.print(Text("proposed for the recording in the job file:"))
-    console.print(Text(to_toml(schedule(phases))), soft_wrap=True)

@@ -6,6 +6,7 @@ free half weighs least and hides least. Both stand on one level floor.
 
 from __future__ import annotations
 
+import json
 import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
@@ -129,14 +130,30 @@ def schedule(phases: Iterable[Phase], *, shortest: float = 1.0) -> ContactSchedu
     )
 
 
-def to_toml(contacts: ContactSchedule) -> str:
-    """Return the `contacts` of a job's `[[recordings]]`, rounded inwards to 10 ms."""
-    lines = [
-        f"  {{ start = {math.ceil(100 * i.start) / 100:.2f}, stop ="
-        f' {math.floor(100 * i.stop) / 100:.2f}, link = "{i.link}" }},'
-        for i in contacts.intervals
-    ]
+def to_toml(contacts: ContactSchedule, *, duration: float = math.inf) -> str:
+    """Return the `contacts` of a job's `[[recordings]]`, rounded inwards to 10 ms.
+
+    Where one lasts for the whole `duration` [s] of the recording, its `contact`.
+    """
+    match contacts.intervals:
+        case [only] if only.start <= 0.0 and only.stop >= duration:
+            return f"contact = {_links(only)}"
+    lines = []
+    for interval in contacts.intervals:
+        start, stop = inwards(interval.start, interval.stop)
+        lines.append(f"  {{ start = {start:.2f}, stop = {stop:.2f}, link = {_links(interval)} }},")
     return "\n".join(["contacts = [", *lines, "]"])
+
+
+def inwards(start: float, stop: float) -> tuple[float, float]:
+    """Return a span rounded inwards to 10 ms."""
+    return math.ceil(100 * start) / 100, math.floor(100 * stop) / 100
+
+
+def _links(interval: Interval) -> str:
+    """Return the links that touch in an interval as TOML, the one that stands still first."""
+    names = [json.dumps(name, ensure_ascii=False) for name in interval.touching]
+    return names[0] if len(names) == 1 else f"[{', '.join(names)}]"
 
 
 def _nearest(

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ftcal.blocks import SPAN
 from ftcal.recording import NANOSECONDS
 
 if TYPE_CHECKING:
@@ -26,13 +27,13 @@ LAG = 0.2
 LEAST_TURN = 0.02
 """Root mean square turn within LAG [rad] that a gyroscope can be judged by."""
 
-SPAN = 1 << 17
-"""Samples summed up at a time; no turn is taken from one such span into the next."""
-
 
 @dataclass(slots=True)
 class Turns:
-    """The turns of one imu, summed up while it passes by."""
+    """The turns of one imu, summed up while it passes by, `blocks.SPAN` samples at a time.
+
+    No turn is taken from one such span into the next.
+    """
 
     accelerations: list[int]
     """Columns of the acceleration."""

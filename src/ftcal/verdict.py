@@ -9,6 +9,7 @@ What the data cannot say comes first: cross-validation does not see it.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
@@ -56,14 +57,14 @@ def identifiable(excitation: Excitation, axis: int) -> Verdict:
     """Return what the training data alone can say about an axis, before any error is looked at."""
     name = AXES[axis]
     if excitation.rank == 0:
-        return Verdict(name, "REFUSE", "nothing moved: no direction of the channels is excited")
+        return Verdict(name, "REFUSE", "no direction of the channels moved beyond its noise")
     if excitation.scale_is_free:
         return Verdict(
             name,
             "REFUSE",
             f"scale gauge: the model wrench varies by {100 * excitation.amplitude:.1f} % of the"
-            " Workbench's reading, so C -> 0 would fit it; record a motion that turns the free"
-            " half in gravity, or a known weight",
+            " Workbench's reading, so C -> 0 would leave no more than that; record a motion that"
+            " turns the free half in gravity, or a known weight",
         )
     parts = []
     if excitation.unexcited:
@@ -112,7 +113,7 @@ def weigh(known: Verdict, score: Score, kind: str, full_scale: float, anchored: 
     low, high = score.interval
     figure = f"{score.percent:.0f} % of Workbench on {kind} [{low:.0f}, {high:.0f}]"
     if not high < 100.0:
-        why = "no better than the Workbench" if low < 100.0 else "worse than the Workbench"
+        why = doubt(low, high)
         return Verdict(name, "REFUSE", f"{figure}; {why}", figure)
     limits = [known.reason] if partial else []
     load = max(map(abs, score.trained)) / full_scale
@@ -121,6 +122,15 @@ def weigh(known: Verdict, score: Score, kind: str, full_scale: float, anchored: 
     if limits:
         return Verdict(name, "PARTIAL", "; ".join([figure, *limits]), figure)
     return Verdict(name, "ACCEPT", figure, figure)
+
+
+def doubt(low: float, high: float) -> str:
+    """Return why an interval [%] that does not end below the Workbench's 100 % speaks against."""
+    if low > 100.0:
+        return "worse than the Workbench"
+    if high == math.inf:
+        return "too little is held out to tell: not shown to be better than the Workbench"
+    return "the interval reaches 100 %: not shown to be better than the Workbench"
 
 
 def overall(verdicts: Sequence[Verdict]) -> Word:

@@ -17,9 +17,11 @@ from ftcal.cli.frame import (
     console,
     mendable,
     progress_bar,
+    require_writable,
     scheduler_option,
     workers_option,
 )
+from ftcal.errors import JobError
 
 if TYPE_CHECKING:
     from ftcal.config import Job
@@ -28,15 +30,22 @@ if TYPE_CHECKING:
 @click.command(short_help="Calibrate the sensors of a job file.")
 @click.argument("job", type=TEXT)
 @click.option("-o", "--output", type=TEXT, help="Folder of the results (default: ftcal-out).")
+@click.option("--cache", type=TEXT, help="Folder of paired recordings (default: none are kept).")
 @scheduler_option("what the job says, or here")
 @workers_option
 @as_json
 @mendable
 def calibrate(
-    job: Path, output: Path | None, scheduler: str | None, workers: int | None, machine: bool
+    job: Path,
+    output: Path | None,
+    *,
+    cache: Path | None,
+    scheduler: str | None,
+    workers: int | None,
+    machine: bool,
 ) -> None:
     """Calibrate the sensors of JOB (TOML): calibration.json, metrics.json and report.html."""
-    sys.exit(run_job(job, output, machine, scheduler=scheduler, workers=workers))
+    sys.exit(run_job(job, output, machine, cache=cache, scheduler=scheduler, workers=workers))
 
 
 def run_job(
@@ -44,24 +53,37 @@ def run_job(
     output: Path | None,
     machine: bool,
     *,
+    cache: Path | None = None,
     scheduler: str | None = None,
     workers: int | None = None,
     truth: dict[str, Any] | None = None,
 ) -> int:
-    """Run a job, write its results, print them; return the exit code."""
+    """Run a job, write its results, print them; return the exit code.
+
+    Paired recordings are kept in `cache` and found again there.
+    """
     from ftcal import terminal
+    from ftcal.archive import Shelf
     from ftcal.compute import executor
     from ftcal.config import read_job
+    from ftcal.paired_takes import KINDS
     from ftcal.pipeline import calibrate as run
     from ftcal.report import metrics, write_outcome
 
     described = read_job(job)
     folder = output or job.parent / (described.output or "ftcal-out")
     where = executor(scheduler or described.compute.scheduler, workers or described.compute.workers)
+    require_writable(folder)
+    if cache is not None:
+        require_writable(cache, option="--cache")
     if described.fit.scope == "whole body":
+        if cache is not None:
+            raise JobError(f"{job}: a fit of all sensors at once keeps none; leave out --cache")
         return run_whole_body(described, folder, machine)
+    # workers may have another working directory
+    shelf = None if cache is None else Shelf(cache.absolute(), KINDS)
     with progress_bar() as progress:
-        outcome = run(described, where=where, progress=progress)
+        outcome = run(described, where=where, shelf=shelf, progress=progress)
         report = write_outcome(outcome, folder, truth)
     if machine:
         click.echo(json.dumps(metrics(outcome, truth), indent=1))
@@ -117,10 +139,13 @@ def study(
 
     described = read_job(job)
     folder = output or job.parent / (described.output or "ftcal-out")
+    shelf = cache or folder / "cache"
+    require_writable(folder)
+    require_writable(shelf, option="--cache")
     with progress_bar() as progress:
         outcome = run(
             described,
-            shelf=cache or folder / "cache",
+            shelf=shelf,
             workers=workers or os.cpu_count() or 1,
             progress=progress,
         )
@@ -166,6 +191,8 @@ def fleet(
     from ftcal.fleet import run_fleet
     from ftcal.fleet_table import as_record, print_fleet
 
+    require_writable(output)
+    require_writable(cache or output / "cache", option="--cache")
     with progress_bar() as progress:
         outcome = run_fleet(
             place,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -60,7 +61,8 @@ def apply(
     required=True,
     help="What reads it.",
 )
-@click.option("-o", "--output", type=TEXT, required=True, help="File, or folder of the files.")
+# a path forgets the slash at its end, which says that it is a folder
+@click.option("-o", "--output", required=True, help="File, or folder of the files (NAME/).")
 @click.option("--sensor", "sensors", multiple=True, metavar="NAME", help="Default: all sensors.")
 @click.option(
     "--offset",
@@ -73,7 +75,7 @@ def apply(
 def export(
     calibration: Path,
     kind: str,
-    output: Path,
+    output: str,
     *,
     sensors: tuple[str, ...],
     offset: str,
@@ -82,7 +84,15 @@ def export(
     """Write CALIBRATION for a robot; every file is read back and compared before it is kept."""
     from ftcal.export import export as write
 
-    written = write(calibration, kind, output, sensors=sensors, offset=offset, undo=undo)
+    written = write(
+        calibration,
+        kind,
+        Path(output),
+        sensors=sensors,
+        offset=offset,
+        undo=undo,
+        into_folder=output.endswith(("/", os.sep)),
+    )
     for name, remarks in written.remarks.items():
         for remark in remarks:
             click.echo(f"{name}: {remark}")

@@ -1,9 +1,10 @@
-"""What all commands share: errors as one line, a bar of progress, a console, options."""
+"""What all commands share: errors as one line, progress, a console, options, places to write."""
 
 from __future__ import annotations
 
 import functools
 import sys
+import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -11,7 +12,7 @@ from typing import TYPE_CHECKING, ParamSpec, TypeVar
 
 import click
 
-from ftcal.errors import FtcalError
+from ftcal.errors import FtcalError, OutputError
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -58,6 +59,37 @@ def mendable(command: Callable[P, R]) -> Callable[P, R]:
             sys.exit(1)
 
     return wrapped
+
+
+def require_writable(folder: Path, *, option: str = "-o") -> None:
+    """Raise `OutputError` where a folder that `option` names cannot be made or written.
+
+    What takes minutes is not begun for a place that cannot take its results. Nothing is created:
+    what is asked is the nearest folder that is there.
+    """
+    place = folder.absolute()
+    try:
+        place = next(one for one in (place, *place.parents) if is_there(one))
+        # permissions alone do not tell: a disk may be full, or mounted for reading only
+        with tempfile.TemporaryFile(dir=place):
+            pass
+    except OSError as error:
+        raise OutputError(
+            f"{folder}: cannot be written ({place}: {error.strerror}); name another folder with"
+            f" {option}"
+        ) from error
+
+
+def is_there(place: Path) -> bool:
+    """Return whether a path names anything, be it a link that leads nowhere.
+
+    Raises `OSError` where that cannot be told.
+    """
+    try:
+        place.lstat()
+    except (FileNotFoundError, NotADirectoryError):
+        return False
+    return True
 
 
 @contextmanager

@@ -13,6 +13,7 @@ from ftcal.cli.frame import (
     as_json,
     console,
     mendable,
+    require_writable,
 )
 
 if TYPE_CHECKING:
@@ -84,6 +85,8 @@ def inspect(
     from ftcal import inspection, terminal
     from ftcal.logs import Layout
 
+    if plot is not None:
+        require_writable(plot.parent, option="--plot")
     layout = Layout(time=time, zero=zero)
     seen = inspection.inspected(log, layout, robot=robot, feet=feet, contacts=contacts)
     if plot is not None and seen.timeline is not None:

@@ -15,6 +15,7 @@ from ftcal.cli.frame import (
     as_json,
     mendable,
     progress_bar,
+    require_writable,
 )
 
 if TYPE_CHECKING:
@@ -32,6 +33,7 @@ def simulate(scenario: Path, output: Path, seed: int | None, machine: bool) -> N
     from ftcal.scenario import read_scenario
     from ftcal.staging import as_lines, as_record, stage
 
+    require_writable(output)
     with progress_bar() as progress:
         job, written = stage(read_scenario(scenario), output, seed=seed, progress=progress)
     if machine:
@@ -58,5 +60,6 @@ def demo(output: Path, seed: int, machine: bool) -> None:
     from ftcal.demonstration import write_demo
     from ftcal.synthetic import TRUTH, read_truth
 
+    require_writable(output)
     job = write_demo(output, seed=seed)
     sys.exit(run_job(job, output, machine, truth=read_truth(job.with_name(TRUTH))))

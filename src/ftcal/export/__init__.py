@@ -159,11 +159,13 @@ def export(
     sensors: tuple[str, ...] = (),
     offset: str,
     undo: bool = False,
+    into_folder: bool = False,
 ) -> Exported:
     """Write the calibration in the file `source` as `kind` (a key of `FORMATS`) to `output`.
 
-    `output` is the file, where there is one and the name has a suffix, else the folder. Every file
-    is made, read back and compared before the first is written. Raises `FtcalError`.
+    `output` is the folder where it is one, has no suffix or is said to be (`into_folder`), else the
+    one file. Every file is made, read back and compared before the first is written. Raises
+    `FtcalError`.
     """
     calibration = read_calibration(source)
     whole = sheet(
@@ -171,7 +173,7 @@ def export(
     )
     made = pieces(kind, whole)
     main = [name for name in made if not (FORMATS[kind].beside and name.endswith(".json"))]
-    if output.suffix and not output.is_dir():
+    if output.suffix and not into_folder and not output.is_dir():
         if len(main) > 1:
             raise OutputError(
                 f"{output}: {kind} makes {len(main)} files here; name a folder, or --sensor"

@@ -5,9 +5,9 @@ measured, not when the recorder got the message. A topic on which several publis
 joints becomes a signal for each set of joints, `<topic>/<first joint>`; one that sensors of
 different frames share, a signal for each, `<topic>/<frame>`.
 
-Poses (`tf`, `tf_static`) are left out: a recording holds what was measured, and the proper
+Poses (`tf`, `tf_static`) are no part of a recording, which holds what was measured: the proper
 acceleration that a moving contact needs would be a second derivative of them, made by a filter that
-belongs to the job (`[signals]`), not to a reader.
+belongs to the job (`[signals]`), not to a reader. To weigh a tool, `ros_poses` reads them.
 """
 
 from __future__ import annotations

@@ -25,7 +25,7 @@ from ftcal.logs.layout import PLAIN
 from ftcal.logs.ros_layout import ByteLayout, UnfitError, learn
 from ftcal.logs.ros_messages import FORMS, Decoder, Kind
 from ftcal.logs.ros_signals import Held, Key
-from ftcal.logs.ros_topic import Batch, Topic, definitions, full_kind, no_foreign_errors, typestore
+from ftcal.logs.ros_topic import Batch, Topic, definitions, no_foreign_errors, typestore
 from ftcal.recording import NANOSECONDS, Signal
 
 if TYPE_CHECKING:
@@ -81,7 +81,7 @@ def read_pose_bag(path: Path) -> PoseBag:
     counts: Counter[Topic] = Counter()
     faults: list[str] = []
     decoders: dict[Topic, Decoder] = {}
-    listeners: dict[Topic, _Listener] = {}
+    listeners: dict[Topic, Listener] = {}
     wrenches: dict[str, dict[Key, Held]] = {}
     poses: dict[tuple[str, str], list[_Some]] = {}
     try:
@@ -89,9 +89,9 @@ def read_pose_bag(path: Path) -> PoseBag:
             for batch in reader.batches(_wanted):
                 topic = batch.topic
                 where = f"{path}: topic {topic.name!r}"
-                if full_kind(topic.kind) in TRANSFORMS:
+                if topic.kind in TRANSFORMS:
                     if topic not in listeners:
-                        listeners[topic] = _Listener(topic, where)
+                        listeners[topic] = Listener(topic, where)
                     listeners[topic].hear(batch)
                     continue
                 if topic not in decoders:
@@ -134,8 +134,7 @@ _Some = tuple["Int[Array, 'N']", "Int[Array, 'N']", "Float[Array, 'N 4']"]
 
 
 def _wanted(topic: Topic) -> bool:
-    kind = full_kind(topic.kind)
-    return topic.wire in ("cdr", "ros1") and (kind in {WRENCH, POSE} or kind in TRANSFORMS)
+    return topic.wire in ("cdr", "ros1") and topic.kind in {WRENCH, POSE, *TRANSFORMS}
 
 
 def _plain(frame: str) -> str:
@@ -150,21 +149,19 @@ def _together(name: str, parts: list[_Some]) -> Signal:
 
 
 @dataclass(slots=True)
-class _Listener:
+class Listener:
     """Hears the transforms of one topic; a message carries some of them, by turns others."""
 
     topic: Topic
     where: str
     heard: dict[tuple[str, str], list[_Some]] = field(default_factory=dict)
     """By parent and child."""
-    known: Any = None
-    """Definitions of the types, once a message came."""
     layouts: list[ByteLayout] = field(default_factory=list)
 
     def hear(self, batch: Batch) -> None:
         """Add what messages say; `LogError` where they are not what their type says."""
         with no_foreign_errors(f"{self.where}: a message"):
-            self.known = self.known or definitions(self.topic)
+            known = definitions(self.topic)
             rows = np.arange(len(batch))
             for number in range(FORMS):
                 if not len(rows):
@@ -172,11 +169,11 @@ class _Listener:
                 if number == len(self.layouts):
                     try:
                         first, kind = batch.message(int(rows[0])), self.topic.kind
-                        self.layouts.append(learn(first, kind, self.known, wire=self.topic.wire))
+                        self.layouts.append(learn(first, kind, known, wire=self.topic.wire))
                     except UnfitError:
                         break
                 rows = self._take(batch, rows, self.layouts[number])
-            self._one_by_one(batch, rows)
+            self.one_by_one(batch, rows)
 
     def _take(self, batch: Batch, rows: Int[Array, "M"], layout: ByteLayout) -> Int[Array, "L"]:
         """Add the transforms of the messages packed as `layout` says; return the other rows."""
@@ -198,11 +195,11 @@ class _Listener:
         others: Int[Array, "L"] = rows[~alike]
         return others
 
-    def _one_by_one(self, batch: Batch, rows: Int[Array, "M"]) -> None:
+    def one_by_one(self, batch: Batch, rows: Int[Array, "M"]) -> None:
         """Add what messages say that are packed in too many ways, each decoded by `rosbags`."""
         if not len(rows):
             return
-        store = typestore(self.known)
+        store = typestore(definitions(self.topic))
         unpack = cast(
             "Callable[[bytes, str], Any]",
             store.deserialize_cdr if self.topic.wire == "cdr" else store.deserialize_ros1,
