@@ -141,14 +141,40 @@ def test_inspect_proposes_the_contacts_of_a_job(tmp_path: Path) -> None:
     plot = tmp_path / "contacts.html"
     result = run("inspect", log, "--robot", robot, *feet, "--plot", plot)
     assert result.exit_code == 0, result.stderr
-    (contact,) = tomllib.loads(result.stdout.partition("job file:")[2])["contacts"]
-    assert contact["link"] == "l_sole"
+    contacts = tomllib.loads(result.stdout.partition("job file:")[2])["contacts"]
+    (contact,) = (one for one in contacts if one["link"] == "l_sole")
     # the job's windows by hand lie inside
     assert contact["start"] < 16.8
     assert contact["stop"] > 61.5
     assert "Contacts proposed" in plot.read_text()
     record = json.loads(run("inspect", log, "--robot", robot, *feet, "--json").stdout)
     assert "support" in {phase["kind"] for phase in record["phases"]}
+
+
+@needs_genova02
+def test_inspect_proposes_the_contacts_of_the_job_file_that_it_drafts() -> None:
+    log, robot = GENOVA02 / "left_leg_support", GENOVA02 / "iCubGenova02.urdf"
+    words = ("inspect", log, "--robot", robot, "--feet", "l_sole", "r_sole")
+    told = tomllib.loads(run(*words).stdout.partition("job file:")[2])
+    (drafted,) = tomllib.loads(run(*words, "--init").stdout)["recordings"]
+    assert told["contacts"] == drafted["contacts"]
+    assert ["l_sole", "r_sole"] in [contact["link"] for contact in told["contacts"]]
+
+
+def test_what_is_cut_is_told_once(world: Path, tmp_path: Path) -> None:
+    lines = (world / "one.csv").read_text().splitlines()
+    for first, last in ((1000, 1080), (2000, 2090)):
+        held = lines[first].split(",")[4:]
+        for row in range(first, last):
+            lines[row] = ",".join([*lines[row].split(",")[:4], *held])
+    (tmp_path / "held.csv").write_text("\n".join(lines) + "\n")
+    text = run("inspect", tmp_path / "held.csv").stdout
+    assert max(map(len, text.splitlines())) <= 100
+    assert text.count("frozen") == 1
+    assert (
+        "cut held ft: 170 of 4000 samples frozen (4.2 %) in 2 stretches, longest 0.89 s: all"
+        " channels repeat exactly; between 9.99 and 20.88 s"
+    ) in " ".join(text.split())
 
 
 def test_feet_without_a_robot_are_a_usage_error(world: Path) -> None:

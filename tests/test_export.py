@@ -533,6 +533,15 @@ def test_a_file_name_is_taken_and_a_calibration_never_overwritten(tmp_path: Path
     assert source.read_bytes() == before
 
 
+def test_a_name_that_ends_in_a_slash_is_a_folder(tmp_path: Path) -> None:
+    source = written(exact(), tmp_path)
+    result = run("export", source, "--to", "c", "-o", f"{tmp_path}/robot.v1/")
+    assert result.exit_code == 0, result.output
+    assert (tmp_path / "robot.v1" / "ft_calibration.h").is_file()
+    assert run("export", source, "--to", "c", "-o", tmp_path / "robot.v2").exit_code == 0
+    assert (tmp_path / "robot.v2").is_file()
+
+
 def test_offsets_are_chosen_as_apply_does(tmp_path: Path) -> None:
     source = written(exact(), tmp_path)
     expected = {"auto": [20.0, -4.0, 64.0, 1.5, -0.25, 0.0], "first": [0.5] * 6, "zero": [0.0] * 6}

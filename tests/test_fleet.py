@@ -501,3 +501,21 @@ def test_a_url_without_fsspec_or_of_no_known_kind_is_told_in_one_line(
     monkeypatch.setitem(sys.modules, "fsspec", None)
     with pytest.raises(FtcalError, match=r'pip install "ftcal\[remote\]"'):
         run_fleet("memory://x", tmp_path, where=Here())
+
+
+@pytest.mark.parametrize(
+    ("protocol", "module", "package"), [("s3", "s3fs", "s3fs"), ("smb", "smbclient", "smbprotocol")]
+)
+def test_a_url_whose_file_system_is_not_installed_says_what_to_install(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, protocol: str, module: str, package: str
+) -> None:
+    registry = pytest.importorskip("fsspec.registry")
+    monkeypatch.setattr(registry, "_registry", {})
+    monkeypatch.setitem(sys.modules, module, None)
+    result = run("fleet", f"{protocol}://bucket/herd", "-o", tmp_path / "out")
+    assert result.exit_code == 1
+    assert result.stderr == (
+        f"ftcal: {protocol}://bucket/herd: {protocol}:// needs {package}:"
+        f' pip install "ftcal[remote]" {package}\n'
+    )
+    assert not (tmp_path / "out").exists()

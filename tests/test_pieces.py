@@ -17,10 +17,10 @@ from pyarrow import csv, parquet
 
 from ftcal import logs
 from ftcal.errors import DataError, LogError
-from ftcal.logs import tables_batches, tables_pieces
+from ftcal.logs import streamed, tables_batches, tables_pieces
 from ftcal.logs.layout import Layout, TimeUnit
 from ftcal.logs.pieces import ROLES, Pieces, WholeLog, cut, joined, median_period, signal_between
-from ftcal.logs.tables_pieces import TablePieces
+from ftcal.logs.streamed import StreamedPieces
 from ftcal.recording import NANOSECONDS, Signal
 from piecewise import assert_same, put_together
 
@@ -66,10 +66,10 @@ def small(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(tables_batches, "BLOCK", 600)
 
 
-def in_batches(path: Path, layout: Layout = LAYOUT) -> TablePieces:
+def in_batches(path: Path, layout: Layout = LAYOUT) -> StreamedPieces:
     """Return a table opened in pieces; the test fails where it comes as a whole."""
     opened = logs.in_pieces(path, layout)
-    assert isinstance(opened, TablePieces)
+    assert isinstance(opened, StreamedPieces)
     return opened
 
 
@@ -314,6 +314,7 @@ def test_memory_does_not_grow_with_the_log(
 ) -> None:
     """NumPy's share; that of Arrow is in benchmarks/applying.py."""
     monkeypatch.setattr(tables_pieces, "NUMBERS", 14_000)
+    monkeypatch.setattr(streamed, "NUMBERS", 14_000)
     monkeypatch.setattr(tables_batches, "BLOCK", 1 << 18)
     table = columns(WRENCH, [n * STEP for n in range(200_000)])
     file = tmp_path / f"log{suffix}"

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from ftcal import fit as fitting
 from ftcal import folds as folding
 from ftcal import segments as gathering
 from ftcal.bootstrap import block_starts
@@ -34,6 +35,7 @@ from ftcal.validate import (
 from pretend import bent, samples, tiled, workbench
 
 PRIOR = workbench()
+GAIN = PRIOR.gain
 
 
 def stretches(count: int = 2, *, noise: float = 1e-3, rows: int = 3000) -> list[Samples]:
@@ -168,6 +170,28 @@ def test_products_of_cells_are_those_of_their_samples() -> None:
     np.testing.assert_allclose(found, exact, atol=1e-9 * abs(exact).max())
 
 
+def test_cells_that_count_less_are_as_many_samples_less() -> None:
+    (some,) = stretches(1)
+    tiles = tiled(some)
+    weight = np.where(np.arange(60) % 7 == 3, 0.25, 1.0)
+    less = tiles.weighing(weight)
+    assert (less.samples, less.down_weighted) == (3000, 450)
+    gain = bent(PRIOR, np.random.default_rng(5), 0.01)
+    each = np.repeat(weight, 50)[:, None]
+    residual = some.wrench - some.channels @ gain.T
+    residual -= np.average(residual, axis=0, weights=each[:, 0])
+    (every,), (means,) = aligned(less, gain), aligned_means(less, gain)
+    np.testing.assert_allclose(every, np.sqrt(each) * residual, atol=1e-9)
+    expected = np.sqrt(weight)[:, None] * residual.reshape(60, 50, 6).mean(axis=1)
+    np.testing.assert_allclose(means, expected, atol=1e-9)
+    # the mean of a segment moves with the weights, and with it what is about it
+    problem = ScaledProblem.of(pooled(less), PRIOR)
+    E = np.linalg.solve(problem.S_yy, problem.S_zy.T).T
+    (table,) = products(less, problem, E)
+    scale = np.abs(table).sum(axis=0).max()
+    np.testing.assert_allclose(table.sum(axis=0) / scale, 0.0, atol=1e-9)
+
+
 def test_cells_of_many_segments_are_put_together_within_each(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -178,6 +202,14 @@ def test_cells_of_many_segments_are_put_together_within_each(
     np.testing.assert_array_equal(np.bincount(tiles.segment), [20, 20])
     np.testing.assert_array_equal(tiles.moments.count, 150)
     same(pooled(tiles), within([one.moments() for one in both]))
+
+
+def test_memory_of_thinned_samples_is_told_by_cells(monkeypatch: pytest.MonkeyPatch) -> None:
+    both = stretches()
+    found = fitting.repetition(cells([Segment.of(one, 1.0).thinned(500) for one in both]), GAIN)
+    assert not np.allclose(found, fitting.repetition(tiled(*both), GAIN), rtol=0.01)
+    monkeypatch.setattr(fitting, "MANY", 0)
+    np.testing.assert_array_equal(found, fitting.repetition(tiled(*both), GAIN))
 
 
 def test_a_fit_of_thinned_segments_is_that_of_whole_ones() -> None:

@@ -202,6 +202,13 @@ def test_toml_of_one_interval() -> None:
     assert to_toml(contacts) == text
 
 
+def test_toml_names_all_that_touch_and_one_contact_throughout_alone() -> None:
+    both = Interval(-math.inf, 80.0, "l_sole", ("r_sole",))
+    assert to_toml(ContactSchedule((both,)), duration=80.0) == 'contact = ["l_sole", "r_sole"]'
+    text = 'contacts = [\n  { start = 0.10, stop = 80.00, link = ["l_sole", "r_sole"] },\n]'
+    assert to_toml(ContactSchedule((replace(both, start=0.1),)), duration=80.0) == text
+
+
 def test_the_plot_has_a_band_a_phase_and_a_curve_a_foot(robot: Robot, switching: Recording) -> None:
     timeline = propose_timeline(switching, robot)
     figure = contact_timeline(timeline, switching.name)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -124,7 +126,32 @@ def test_better_with_a_direction_on_the_prior_is_partial() -> None:
 def test_an_interval_that_contains_a_hundred_keeps_the_workbench() -> None:
     verdicts = judge(seen(), with_interval(40, 110), UNIT)
     assert not any(v.use for v in verdicts)
-    assert "no better" in verdicts[0].reason
+    assert verdicts[0].reason == (
+        "50 % of Workbench on hold-out [40, 110]; the interval reaches 100 %: not shown to be"
+        " better than the Workbench"
+    )
+
+
+def test_a_matrix_like_the_workbench_is_not_called_worse() -> None:
+    assert "not shown to be better" in judge(seen(), with_interval(100, 100), UNIT)[0].reason
+
+
+def test_an_interval_without_an_end_says_that_too_little_is_held_out() -> None:
+    reason = judge(seen(), with_interval(0, np.inf), UNIT)[0].remark
+    assert reason == "too little is held out to tell: not shown to be better than the Workbench"
+
+
+def test_channels_that_stay_in_their_noise_are_not_said_to_stand_still() -> None:
+    still = [replace(direction, signal=2.9) for direction in seen().directions]
+    verdicts = judge(replace(seen(), directions=tuple(still)), with_interval(40, 60), UNIT)
+    assert {(v.word, v.reason) for v in verdicts} == {
+        ("REFUSE", "no direction of the channels moved beyond its noise")
+    }
+
+
+def test_a_scale_that_is_free_tells_what_a_vanished_sensor_would_leave() -> None:
+    reason = judge(seen(amplitude=0.05), with_interval(40, 60), UNIT)[0].reason
+    assert "varies by 5.0 % of the Workbench's reading, so C -> 0 would leave no more" in reason
 
 
 def test_a_matrix_trained_on_next_to_no_load_is_partial() -> None:

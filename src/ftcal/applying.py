@@ -26,9 +26,12 @@ import numpy as np
 from ftcal.calibration import Calibration, Centre, Offset, SensorCalibration
 from ftcal.errors import DataError, OutputError, unknown
 from ftcal.logs.pieces import Pieces
+from ftcal.pairing import FtChannel
 from ftcal.recording import Recording, Signal
+from ftcal.robot import Robot
 from ftcal.sensor import AXES
 from ftcal.signals import default_gap, longest_pause, temperature_at
+from ftcal.turning import turned_back
 
 if TYPE_CHECKING:
     from jaxtyping import Float, Int
@@ -59,14 +62,17 @@ def apply(
     *,
     sd: bool = False,
     rows: int | None = None,
+    robot: Robot | None = None,
 ) -> dict[str, str]:
     """Write the corrected wrenches of a log at `path`, as `corrected` returns them of the whole.
 
-    Returns by sensor whose offset was added. In memory are `rows` samples of each signal (a few
-    MB where it is not said) and what a thermometer needs beyond. Raises as `corrected` does,
-    `LogError` for what only the numbers of the log show, and `OutputError`; then nothing is
-    written.
+    Returns by sensor whose offset was added. A sensor with a `wrench_frame` needs the `robot`: the
+    log is first turned into the sensor's frame. In memory are `rows` samples of each signal (a few
+    MB where it is not said) and what a thermometer, or turning, needs beyond. Raises as `corrected`
+    and `in_sensor_frames` do, `LogError` for what only the numbers of the log show, and
+    `OutputError`; then nothing is written.
     """
+    log = in_sensor_frames(calibration, log, robot)
     _, used = corrected(calibration, log.head, offset, sd=sd)  # refused before a file is begun
     thermometers = {
         sensor.temperature_signal
@@ -81,6 +87,33 @@ def apply(
     return used
 
 
+def in_sensor_frames(calibration: Calibration, log: Pieces, robot: Robot | None) -> Pieces:
+    """Return a log with every wrench in the frame of its sensor.
+
+    Raises `DataError` where a calibrated sensor that it carries is logged in the axes of another
+    link and the robot, which would turn it, is not known; else as `turning.turned_back`.
+    """
+    logged = {signal.name for signal in log.head.channels}
+    turned = [
+        sensor
+        for sensor in calibration.sensors
+        if sensor.wrench_frame is not None and sensor.signal in logged
+    ]
+    if not turned:
+        return log
+    if robot is None:
+        named = "; ".join(f"{s.signal!r} is in the axes of {s.wrench_frame!r}" for s in turned)
+        raise DataError(
+            f"recording {log.head.name!r}: {named}, and only the joints turn it into the sensor's"
+            " frame; give --robot URDF"
+        )
+    channels = [
+        FtChannel(s.sensor, s.signal, s.workbench(), s.temperature_signal, s.wrench_frame)
+        for s in turned
+    ]
+    return turned_back(log, robot, channels)
+
+
 def corrected(
     calibration: Calibration,
     recording: Recording,
@@ -91,12 +124,13 @@ def corrected(
 ) -> tuple[Recording, dict[str, str]]:
     """Return the corrected wrenches [N, Nm] of every calibrated sensor the recording carries.
 
-    Also returns, by sensor, whose offset was added. `offset` names a recording of the calibration,
-    or is `zero` or `auto`. With `sd` a sensor has columns `fx_sd` to `tz_sd` too, of the axes whose
-    standard deviation is known (`wrench_sd`). `gaps` says of a thermometer which pause [s] is a
-    hole, where the recording is a piece that cannot tell (default `default_gap`). Raises
-    `DataError` where no calibrated sensor is in the log, the offset is not known, or its standard
-    deviation is asked for and is not.
+    They are expressed in each sensor's `frame`, as those of the recording must be (see
+    `in_sensor_frames`). Also returns, by sensor, whose offset was added. `offset` names a recording
+    of the calibration, or is `zero` or `auto`. With `sd` a sensor has columns `fx_sd` to `tz_sd`
+    too, of the axes whose standard deviation is known (`wrench_sd`). `gaps` says of a thermometer
+    which pause [s] is a hole, where the recording is a piece that cannot tell (default
+    `default_gap`). Raises `DataError` where no calibrated sensor is in the log, the offset is not
+    known, or its standard deviation is asked for and is not.
     """
     logged = {signal.name: signal for signal in recording.channels}
     carried = [sensor for sensor in calibration.sensors if sensor.signal in logged]

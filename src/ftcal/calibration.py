@@ -14,7 +14,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    SerializerFunctionWrapHandler,
+    ValidationError,
+    model_serializer,
+)
 
 from ftcal.errors import OutputError, SensorError, unknown
 from ftcal.sensor import SensorModel, Workbench
@@ -135,6 +141,8 @@ class SensorCalibration(Record):
     """Frame that expresses the wrench: a link, or `SENSOR (origin)` of the URDF's sensor tag."""
     acts_on: str
     """Link on which the measured wrench acts."""
+    wrench_frame: str | None = None
+    """Link in whose axes logs carry the wrench, about the sensor's origin; left out: `frame`."""
     temperature_signal: str | None
     """Signal with the sensor's temperature, if any."""
     gain: Matrix
@@ -160,6 +168,13 @@ class SensorCalibration(Record):
     verdicts: list[AxisVerdict]
     health: list[HealthFinding]
 
+    @model_serializer(mode="wrap")
+    def _as_short_as_can_be(self, plain: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        fields: dict[str, Any] = plain(self)
+        if self.wrench_frame is None:
+            del fields["wrench_frame"]
+        return fields
+
     @property
     def coefficients(self) -> Float[Array, "6 P"]:
         """`[C, k]` as deployed."""
@@ -167,6 +182,10 @@ class SensorCalibration(Record):
         if self.temperature_gain is None:
             return gain
         return np.column_stack([gain, self.temperature_gain])
+
+    def in_own_frame(self) -> SensorCalibration:
+        """Return the calibration as one of readings that are in the sensor's frame already."""
+        return self.model_copy(update={"wrench_frame": None})
 
     def workbench(self) -> Workbench:
         """Return the prior as a Workbench."""

@@ -63,6 +63,17 @@ class SensorSection(Section):
     """Whether the log carries N and Nm (calibrated by the Workbench matrix) or raw channels."""
     temperature: str | None = None
     """Signal of the log with its temperature [degree Celsius]."""
+    wrench_frame: str | None = None
+    """Link in whose axes the log gives its wrench, about its origin; default: its own frame."""
+
+    @model_validator(mode="after")
+    def _turned_wrenches(self) -> SensorSection:
+        if self.wrench_frame is not None and self.logged == "channels":
+            raise ValueError(
+                f"sensor {self.name!r}: wrench_frame = {self.wrench_frame!r} is of a wrench in N"
+                ' and Nm, and raw channels have no axes; say logged = "wrench", or leave it out'
+            )
+        return self
 
 
 class ContactSection(Section):

@@ -96,6 +96,7 @@ def sensor_record(
     return SensorCalibration(
         sensor=ft.name,
         signal=channel.signal,
+        wrench_frame=channel.wrench_frame,
         temperature_signal=channel.temperature,
         logged=workbench.logged,
         frame=frame_name(ft),

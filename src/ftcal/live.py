@@ -37,7 +37,7 @@ class WrenchReader:
 
         `offset` is the name of a recording of the calibration, `zero`, or `auto` for the last.
         `temperature` [degree Celsius] is the first, without which `DataError` where the law has a
-        term for it.
+        term for it; `DataError` also where the logs of the sensor are in the axes of another link.
         """
         segment, _ = chosen_offset(sensor, "", offset)
         self._law = _Affine(sensor, sensor.coefficients, np.array(segment.offset), temperature)
@@ -102,6 +102,12 @@ class _Affine:
         constant: Float[Array, "M"],
         temperature: float | None,
     ) -> None:
+        if sensor.wrench_frame is not None:
+            raise DataError(
+                f"{sensor.sensor!r} is logged in the axes of {sensor.wrench_frame!r}, and read in"
+                f" those of {sensor.frame!r}: turn every sample back first, then read them with"
+                " sensor.in_own_frame()"
+            )
         decode = channels_of_logged(sensor)
         channels = len(decode)
         self._name = sensor.sensor

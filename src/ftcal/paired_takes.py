@@ -29,7 +29,7 @@ from ftcal.robot import Robot
 from ftcal.samples import Samples
 from ftcal.segmentation import segmented
 from ftcal.segments import Segment
-from ftcal.takes import PairedTake, Takes, opened, read_log
+from ftcal.takes import PairedTake, Takes, in_sensor_frames, opened, read_log
 from ftcal.urdf import read_robot
 
 PIECE_ROWS = 8192
@@ -110,6 +110,8 @@ def _made(work: Work) -> PairedTake:
     names = {c.sensor: given.name for c, given in zip(channels, job.sensors, strict=True)}
     log, in_situ = logged(work), job.fit.offset == "in situ"
     seen = overview(log, robot, channels, job.signals.max_gap)
+    # the doctor has seen the numbers as they were logged; all that follows, in the sensor's frame
+    log = in_sensor_frames(log, job=job, robot=robot, channels=channels)
     section, findings = unrest_found(work, robot, log, seen)
     pairing = Pairing.of(
         log,

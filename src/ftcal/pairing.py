@@ -59,6 +59,8 @@ class FtChannel:
     workbench: Workbench
     temperature: str | None = None
     """Temperature signal of the log, if any."""
+    wrench_frame: str | None = None
+    """Link in whose axes the log gives the wrench; None: in the sensor's own frame."""
 
 
 def matched_channels(recording: Recording, robot: Robot) -> tuple[FtChannel, ...]:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 from ftcal.archive import Shelf
 from ftcal.calibration import Calibration
@@ -22,7 +23,7 @@ from ftcal.pairing import FtChannel, one_sided
 from ftcal.progress import Progress, Steps, silent
 from ftcal.recording import Finding, Recording
 from ftcal.robot import Robot
-from ftcal.takes import Glimpses, Logs, PairedTake
+from ftcal.takes import Glimpses, Logs, PairedTake, in_sensor_frames
 from ftcal.urdf import read_robot
 from ftcal.validate import Scores, held_out, score
 from ftcal.workbench import read_workbench
@@ -104,7 +105,7 @@ def fitted(
         tuple(
             replace(take.outline, source=str(job.path(section.log))) for section, take in together
         ),
-        Logs(job),
+        Logs(job, partial(in_sensor_frames, job=job, robot=robot, channels=channels)),
         tuple((take.outline.name, finding) for take in takes for finding in take.findings),
         tuple(outcomes),
         calibration,
@@ -119,7 +120,17 @@ def ft_channel(job: Job, robot: Robot, section: SensorSection) -> FtChannel:
         logged=section.logged,
     )
     name = robot.sensor(section.name).name
-    return FtChannel(name, section.signal, workbench, section.temperature)
+    check_wrench_frame(robot, section)
+    return FtChannel(name, section.signal, workbench, section.temperature, section.wrench_frame)
+
+
+def check_wrench_frame(robot: Robot, section: SensorSection) -> None:
+    """Raise `RobotError` where the log of a sensor is in the axes of a link that is unknown."""
+    try:
+        if section.wrench_frame is not None:
+            robot.link(section.wrench_frame)
+    except RobotError as error:
+        raise RobotError(f"sensor {section.name!r}: wrench_frame: {error}") from error
 
 
 def check_contacts(job: Job, robot: Robot, channels: Sequence[FtChannel]) -> None:
@@ -171,4 +182,7 @@ def score_calibration(
 def calibrated_channel(calibration: Calibration, robot: Robot, section: SensorSection) -> FtChannel:
     """Return a sensor of the job as its calibration knows it."""
     known = calibration.sensor(robot.sensor(section.name).name)
-    return FtChannel(known.sensor, section.signal, known.workbench(), section.temperature)
+    check_wrench_frame(robot, section)
+    return FtChannel(
+        known.sensor, section.signal, known.workbench(), section.temperature, section.wrench_frame
+    )

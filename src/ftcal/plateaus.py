@@ -64,7 +64,10 @@ class _Bottom:
             self.runs = Runs(self.least)
         if lowest <= known:
             resting = places[values == lowest] + block.before
-            self.runs.add(stretches_of(block, resting))
+            at_border = resting[0] == block.before or resting[-1] == len(block.stamps) - 1
+            # too few, and none of them may grow into the next block
+            if at_border or len(resting) >= self.least:
+                self.runs.add(stretches_of(block, resting))
 
     @property
     def above(self) -> float:

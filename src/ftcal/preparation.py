@@ -119,6 +119,7 @@ def ingredients(
         "sensors": [
             {
                 "channel": [channel.sensor, channel.signal, channel.temperature],
+                "wrench frame": channel.wrench_frame,
                 "workbench": channel.workbench.gain.tolist(),
                 "full scale": channel.workbench.full_scale.tolist(),
                 "logged": channel.workbench.logged,

@@ -6,7 +6,7 @@ into memory side by side, and need not.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Protocol, overload
@@ -21,6 +21,7 @@ from ftcal.pairing import FtChannel
 from ftcal.progress import Steps
 from ftcal.recording import Finding, Recording
 from ftcal.robot import Robot
+from ftcal.turning import recording_turned_back, turned_back
 
 KEPT = 64 * 1024**2
 """Bytes of recordings that are kept in memory."""
@@ -65,11 +66,18 @@ class Glimpses(Protocol):
         """Return the samples of a recording in [start, stop) seconds."""
 
 
+def as_logged(log: Pieces) -> Pieces:
+    """Return a log as it is."""
+    return log
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Logs:
     """The recordings of a job by name, some seconds of which are read when they are looked at."""
 
     job: Job
+    turned: Callable[[Pieces], Pieces] = as_logged
+    """What is done to a log that was opened, such as `in_sensor_frames`."""
     seen: dict[tuple[str, float, float], Recording] = field(default_factory=dict, repr=False)
 
     def between(self, name: str, start: float, stop: float) -> Recording:
@@ -80,7 +88,7 @@ class Logs:
         if (name, start, stop) not in self.seen:
             section = {section.label: section for section in self.job.recordings}[name]
             self.seen.clear()
-            log = opened(self.job, section)
+            log = self.turned(opened(self.job, section))
             self.seen[name, start, stop] = span(log, start, stop)
         return self.seen[name, start, stop]
 
@@ -138,7 +146,10 @@ class Takes(Sequence[Recording]):
         at = range(len(self))[which]
         if isinstance(at, range):
             return [self[i] for i in at]
-        return self.kept.get(at) or read_log(self.job, self.job.recordings[at])
+        if at in self.kept:
+            return self.kept[at]
+        again = read_log(self.job, self.job.recordings[at])
+        return read_in_sensor_frames(self.job, self.robot, self.channels, again)
 
     def __iter__(self) -> Iterator[Recording]:
         return (self[i] for i in range(len(self)))
@@ -166,11 +177,29 @@ def opened(job: Job, section: RecordingSection) -> Pieces:
 def examined(
     job: Job, robot: Robot, channels: Sequence[FtChannel], section: RecordingSection
 ) -> tuple[Recording, tuple[Finding, ...]]:
-    """Return one recording of a job and what is wrong with it; raises as `Takes.read`."""
+    """Return one recording of a job and what is wrong with it; raises as `Takes.read`.
+
+    Wrenches are in the frames of their sensors; the doctor has seen them as they were logged.
+    """
     recording = read_log(job, section)
     firmware = {channel.signal: channel.workbench.firmware for channel in channels}
     found = examine(recording, sensors=firmware, robot=robot)
-    return recording, (*recording.findings, *found)
+    turned = read_in_sensor_frames(job, robot, channels, recording)
+    return turned, (*recording.findings, *found)
+
+
+def in_sensor_frames(
+    log: Pieces, *, job: Job, robot: Robot, channels: Sequence[FtChannel]
+) -> Pieces:
+    """Return a log of a job with every wrench in the frame of its sensor; raises `turned_back`."""
+    return turned_back(log, robot, channels, max_gap=job.signals.max_gap)
+
+
+def read_in_sensor_frames(
+    job: Job, robot: Robot, channels: Sequence[FtChannel], recording: Recording
+) -> Recording:
+    """Return a recording of a job with every wrench in the frame of its sensor."""
+    return recording_turned_back(recording, robot, channels, max_gap=job.signals.max_gap)
 
 
 def read_log(job: Job, section: RecordingSection) -> Recording:

@@ -152,9 +152,7 @@ class Turning:
         return position
 
 
-def in_sensor(
-    L_R_S: Float[Array, "N 3 3"], wrench: Float[Array, "N 6"]
-) -> Float[Array, "N 6"]:
+def in_sensor(L_R_S: Float[Array, "N 3 3"], wrench: Float[Array, "N 6"]) -> Float[Array, "N 6"]:
     """Return wrenches [N, Nm] of the axes of L in those of S, about the same point."""
     turned = np.empty(wrench.shape)
     for first in (0, 3):
@@ -202,17 +200,14 @@ class TurnedPieces:
 
         Raises `LogError` where it cannot be believed so far.
         """
-        first = {turn.signal: log.head.channel(turn.signal) for turn in turning.turns}
-        waiting = set(first)
+        first = {
+            turn.signal: signal_rows(log.head.channel(turn.signal), 0, 0) for turn in turning.turns
+        }
         for piece in TurnedPieces(log, turning, log.head).pieces():
-            own = piece.own
-            for name in sorted(waiting):
-                first[name] = signal_rows(own.channel(name), 0, 1)
-            waiting = {name for name in waiting if not len(first[name])}
-            if not waiting:
+            waiting = [name for name, signal in first.items() if not len(signal)]
+            first |= {name: signal_rows(piece.own.channel(name), 0, 1) for name in waiting}
+            if all(len(signal) for signal in first.values()):
                 break
-        for name in waiting:
-            first[name] = signal_rows(first[name], 0, 0)
         channels = tuple(first.get(signal.name, signal) for signal in log.head.channels)
         return TurnedPieces(log, turning, replace(log.head, channels=channels))
 
@@ -225,9 +220,7 @@ class TurnedPieces:
         margin = round(overlap * NANOSECONDS)
         for piece in self.log.pieces(rows=rows, overlap=overlap + self.turning.reach):
             shown = self.turning.turned(piece.recording)
-            yield replace(
-                piece, recording=cut(shown, piece.start - margin, piece.stop + margin)
-            )
+            yield replace(piece, recording=cut(shown, piece.start - margin, piece.stop + margin))
 
 
 def turned_back(
@@ -242,27 +235,15 @@ def turned_back(
     """
     if all(channel.wrench_frame is None for channel in channels):
         return log
-    turning = Turning.of(log, robot, channels, max_gap)
-    turned: Pieces
     match log:
         case WholeLog(recording):
-            turned = WholeLog(turning.turned(recording))
-        case _:
-            turned = TurnedPieces.of(log, turning)
-    raise_all(
-        DataError,
-        f"recording {log.head.name!r}",
-        [
-            f"no sample of {turn.signal!r} at which {', '.join(turn.joints)} are known; they turn"
-            f" it back from the axes of {turn.link!r}: log both at once"
-            for turn in turning.turns
-            if len(log.head.channel(turn.signal)) and not len(turned.head.channel(turn.signal))
-        ],
-    )
+            return WholeLog(recording_turned_back(recording, robot, channels, max_gap=max_gap))
+    turned = TurnedPieces.of(log, Turning.of(log, robot, channels, max_gap))
+    check_left(turned.turning, log.head, turned.head)
     return turned
 
 
-def whole_turned_back(
+def recording_turned_back(
     recording: Recording,
     robot: Robot,
     channels: Sequence[FtChannel],
@@ -270,5 +251,23 @@ def whole_turned_back(
     max_gap: float | None = None,
 ) -> Recording:
     """Return `turned_back` of a recording that is in memory; raises as it does."""
-    turned = turned_back(WholeLog(recording), robot, channels, max_gap=max_gap)
-    return turned.recording
+    if all(channel.wrench_frame is None for channel in channels):
+        return recording
+    turning = Turning.of(WholeLog(recording), robot, channels, max_gap)
+    turned = turning.turned(recording)
+    check_left(turning, recording, turned)
+    return turned
+
+
+def check_left(turning: Turning, logged: Recording, turned: Recording) -> None:
+    """Raise `DataError` where a signal has samples as it was logged and none when turned."""
+    raise_all(
+        DataError,
+        f"recording {logged.name!r}",
+        [
+            f"{', '.join(turn.joints)} are known at no sample of {turn.signal!r}, which they turn"
+            f" back from the axes of {turn.link!r}; log both at once"
+            for turn in turning.turns
+            if len(logged.channel(turn.signal)) and not len(turned.channel(turn.signal))
+        ],
+    )

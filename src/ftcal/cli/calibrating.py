@@ -78,7 +78,7 @@ def run_job(
         require_writable(cache, option="--cache")
     if described.fit.scope == "whole body":
         if cache is not None:
-            raise JobError(f"{job}: a fit of all sensors at once keeps none; leave out --cache")
+            raise JobError(f"{job}: a fit of all sensors at once keeps nothing; leave out --cache")
         return run_whole_body(described, folder, machine)
     # workers may have another working directory
     shelf = None if cache is None else Shelf(cache.absolute(), KINDS)

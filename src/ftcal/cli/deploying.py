@@ -33,20 +33,34 @@ if TYPE_CHECKING:
 )
 @click.option("--like", type=TEXT, help="Job whose first recording says how LOG is to be read.")
 @click.option("--sd", is_flag=True, help="Add the predicted standard deviation of every axis.")
+@click.option("--robot", type=TEXT,
+              help="URDF or xacro; turns a LOG in the axes of another link.")  # fmt: skip
 @mendable
 def apply(
-    calibration: Path, log: Path, output: Path, offset: str, like: Path | None, *, sd: bool
+    calibration: Path,
+    log: Path,
+    output: Path,
+    offset: str,
+    like: Path | None,
+    *,
+    sd: bool,
+    robot: Path | None,
 ) -> None:
     """Recalibrate LOG: write the corrected wrenches of every calibrated sensor that it carries."""
     from ftcal import applying, logs
     from ftcal.calibration import read_calibration
     from ftcal.config import read_job
+    from ftcal.urdf import read_robot
 
     layout = logs.Layout() if like is None else read_job(like).recordings[0].layout()
     known = read_calibration(calibration)
-    used = applying.apply(known, logs.in_pieces(log, layout), output, offset, sd=sd)
+    model = None if robot is None else read_robot(robot)
+    used = applying.apply(known, logs.in_pieces(log, layout), output, offset, sd=sd, robot=model)
     for sensor, source in used.items():
         click.echo(f"{sensor}: offset of {source}")
+        if (link := known.sensor(sensor).wrench_frame) is not None:
+            frame = known.sensor(sensor).frame
+            click.echo(f"{sensor}: turned from the axes of {link} into the sensor's, {frame}")
         if sd and (kept := applying.refused(known.sensor(sensor))):
             click.echo(f"{sensor}: no standard deviation of {', '.join(kept)}: Workbench kept")
     click.echo(f"wrote {output}")

@@ -187,7 +187,10 @@ def export(
         write_whole(path, made[name])
         if path.read_bytes() != made[name]:
             raise OutputError(f"{path}: does not read back as written; look at the disk")
-    remarks = {law.sensor: [summary(law), *FORMATS[kind].remarks(law)] for law in whole.sensors}
+    remarks = {
+        law.sensor: [summary(law), *turned(law), *FORMATS[kind].remarks(law)]
+        for law in whole.sensors
+    }
     return Exported(tuple(placed), remarks)
 
 
@@ -196,6 +199,17 @@ def summary(law: Installed) -> str:
     about = law.about or {}
     kept = ", ".join(about["keeps_workbench"]) or "none"
     return f"rows of the Workbench: {kept}; offset of {about['offset_of']}"
+
+
+def turned(law: Installed) -> list[str]:
+    """Return what a driver must heed that turns the wrench into the axes of another link."""
+    about = law.about or {}
+    if "wrench_frame" not in about:
+        return []
+    return [
+        f"gives the wrench in the sensor's frame ({about['frame']}): what turns it into the axes"
+        f" of {about['wrench_frame']} comes after it, not before"
+    ]
 
 
 def read(path: Path) -> tuple[Installed, ...]:

@@ -124,6 +124,8 @@ def installed(sensor: SensorCalibration, offset: str, *, undo: bool = False) -> 
         "workbench_gain": sensor.prior.gain,
         "full_scale": sensor.prior.full_scale,
     }
+    if sensor.wrench_frame is not None:
+        about["wrench_frame"] = sensor.wrench_frame
     return Installed(
         sensor.sensor, "channels", prior.gain if undo else np.array(sensor.gain),
         np.array(found.offset), warm, sensor.reference_temperature if warm is not None else 0.0,

@@ -161,11 +161,22 @@ def span(log: Pieces, start: float, stop: float) -> Recording:
             break
         if piece.stop > first:
             parts.append(cut(piece.own, first, last))
+    shown = {
+        (role, signal.name): joined([named(part, role, signal.name) for part in parts])
+        for role in ROLES
+        for signal in getattr(log.head, role)
+    }
+
+    def signals(role: Role) -> tuple[Signal, ...]:
+        return tuple(shown[role, signal.name] for signal in getattr(log.head, role))
+
     return replace(
         log.head,
-        **{role: tuple(map(joined, zip(*(getattr(part, role) for part in parts), strict=True)))
-           for role in ROLES},
-    )  # fmt: skip
+        joints=signals("joints"),
+        channels=signals("channels"),
+        temperatures=signals("temperatures"),
+        imus=signals("imus"),
+    )
 
 
 def median_period(

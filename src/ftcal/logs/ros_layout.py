@@ -78,7 +78,7 @@ class ByteLayout:
             length, first = stop - start, self.first[start:stop]
             rows = _BLOCK // length + 1
             for row in range(0, len(starts), rows):
-                found = taken(buffer, starts[row : row + rows] + start, length)
+                found = taken(buffer, starts[row : row + rows], start, length)
                 if found.tobytes() != first * len(found):  # hardly ever; row by row takes longer
                     differs = (found ^ np.frombuffer(first, np.uint8)) & self.fixed[start:stop]
                     alike[row : row + rows] &= ~differs.any(axis=1)
@@ -106,17 +106,18 @@ class ByteLayout:
 
 
 def _read(buffer: UInt8[Array, "B"], starts: Int[Array, "N"], place: Place) -> Shaped[Array, "N K"]:
-    return taken(buffer, starts + place.offset, place.size).view(place.code)
+    return taken(buffer, starts, place.offset, place.size).view(place.code)
 
 
 def taken(
-    buffer: UInt8[Array, "B"], starts: Int[Array, "N"], length: int
+    buffer: UInt8[Array, "B"], starts: Int[Array, "N"], offset: int, length: int
 ) -> UInt8[Array, "N length"]:
-    """Return a copy of `length` bytes at each of `starts`, one a row."""
+    """Return a copy of `length` bytes, `offset` behind each of `starts`, one a row."""
     if not length or not len(starts):
         return np.empty((len(starts), length), dtype=np.uint8)
     # every byte begins a window; taking windows copies each of them in one go
-    windows = np.ndarray((len(buffer) - length + 1,), f"V{length}", buffer, strides=(1,))
+    count = len(buffer) - offset - length + 1
+    windows = np.ndarray((count,), f"V{length}", buffer, offset, strides=(1,))
     found: UInt8[Array, "N length"] = windows[starts].view(np.uint8).reshape(-1, length)
     return found
 

@@ -199,24 +199,25 @@ class Decoder:
     ) -> tuple[Int[Array, "L"], list[Piece]]:
         """Return the rows that are packed otherwise, and those packed as `form` says."""
         layout = form.layout
-        alike = batch.lengths[waiting] == len(layout.first)
+        some = batch.some(waiting)
+        alike = some.lengths == len(layout.first)
         if not alike.any():
             return waiting, []
-        rows = waiting[alike]
-        agrees = layout.agrees(batch.buffer, batch.starts[rows])
+        some = some.some(np.flatnonzero(alike))
+        agrees = layout.agrees(some.buffer, some.starts)
         if not agrees.all():
             alike[alike] = agrees
-            rows = rows[agrees]
-        return waiting[~alike], [self._piece(batch, rows, form)] if len(rows) else []
+            some = some.some(np.flatnonzero(agrees))
+        return waiting[~alike], [self._piece(some, form)] if len(some) else []
 
-    def _piece(self, batch: Batch, rows: Int[Array, "N"], form: _Form) -> Piece:
+    def _piece(self, batch: Batch, form: _Form) -> Piece:
         layout, kind = form.layout, self._kind
-        buffer, starts, arrival = batch.buffer, batch.starts[rows], batch.arrival[rows]
+        buffer, starts, arrival = batch.buffer, batch.starts, batch.arrival
         stamps = arrival
         if kind.stamped:
             sec, nanosec = (layout.read(buffer, starts, p)[:, 0].astype(np.int64) for p in _STAMP)
             stamps = sec * NANOSECONDS + nanosec
-        withheld = np.zeros(len(rows), dtype=bool)
+        withheld = np.zeros(len(starts), dtype=bool)
         for path in kind.withheld:
             withheld |= layout.read(buffer, starts, path)[:, 0] == -1.0
         values = layout.table(buffer, starts, kind.values)

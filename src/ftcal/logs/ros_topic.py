@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
@@ -59,6 +59,14 @@ class Batch:
 
     def __len__(self) -> int:
         return len(self.starts)
+
+    def some(self, rows: Int[Array, "M"]) -> Batch:
+        """Return the messages `rows`, which rise; all of them, as a rule, and nothing is copied."""
+        if len(rows) == len(self):
+            return self
+        return replace(
+            self, starts=self.starts[rows], lengths=self.lengths[rows], arrival=self.arrival[rows]
+        )
 
     def message(self, row: int) -> bytes:
         """Return the bytes of one message."""

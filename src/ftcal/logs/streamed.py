@@ -6,7 +6,7 @@ no more of it in memory than a stretch of rows. Of every format that comes so, p
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Protocol
 
@@ -26,8 +26,7 @@ from ftcal.logs.pieces import (
     signal_between,
     signal_rows,
 )
-from ftcal.logs.tables_streamed import each, from_row
-from ftcal.recording import NANOSECONDS, Recording
+from ftcal.recording import NANOSECONDS, Recording, Signal
 
 if TYPE_CHECKING:
     from jaxtyping import Int
@@ -171,3 +170,18 @@ def repeated(found: Sequence[Note], again: int, rows: int) -> tuple[Note, ...]:
         return ()
     message = f"{again} of {rows} samples repeat the stamp before them; left out"
     return (replace(found[0], stop=found[-1].stop, message=message),)
+
+
+def each(parts: Sequence[Streams], change: Callable[[list[Signal]], Signal]) -> Streams:
+    """Return the streams in which each signal is made of those in its place in `parts`."""
+
+    def signals(role: Role) -> tuple[Signal, ...]:
+        places = zip(*(getattr(part, role) for part in parts), strict=True)
+        return tuple(change(list(same)) for same in places)
+
+    return Streams(signals("joints"), signals("channels"), signals("temperatures"), signals("imus"))
+
+
+def from_row(streams: Streams, row: int) -> Streams:
+    """Return the streams without the rows before `row`."""
+    return each([streams], lambda parts: signal_rows(parts[0], row, None))

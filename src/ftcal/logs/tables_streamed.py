@@ -7,7 +7,7 @@ row has the types of the head. The second reads the numbers.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -19,7 +19,7 @@ from ftcal.errors import LogError
 from ftcal.logs import columns, tables
 from ftcal.logs.columns import SECONDS, Note, Streams
 from ftcal.logs.layout import Layout
-from ftcal.logs.pieces import Role, signal_rows
+from ftcal.logs.streamed import from_row, repeated
 from ftcal.logs.tables_batches import Batched
 from ftcal.logs.tables_time import nanoseconds
 from ftcal.recording import Signal
@@ -113,9 +113,8 @@ class StreamedTable:
         )
         if fractions and nearest < _EXACT <= furthest:
             return None  # the whole column would be rounded as its largest number is
-        message = f"{rows - kept} of {rows} samples repeat the stamp before them; left out"
-        note = [replace(found[0], stop=found[-1].stop, message=message)] if found else []
-        return replace(self, steps=kept - 1, longest=longest, notes=tuple(note))
+        notes = repeated(found, rows - kept, rows)
+        return replace(self, steps=kept - 1, longest=longest, notes=notes)
 
     def streams(self) -> Iterator[Streams]:
         """Yield the signals of one batch after another."""
@@ -164,18 +163,3 @@ def _bad(stretch: _Stretch, names: Sequence[str]) -> Int[Array, "M 2"]:
         return np.empty((0, 2), dtype=np.int64)  # refused for that
     values = columns.matrix([column.cast(pa.float64(), safe=False) for column in numbers])
     return np.argwhere(~np.isfinite(values))
-
-
-def each(parts: Sequence[Streams], change: Callable[[list[Signal]], Signal]) -> Streams:
-    """Return the streams in which each signal is made of those in its place in `parts`."""
-
-    def signals(role: Role) -> tuple[Signal, ...]:
-        places = zip(*(getattr(part, role) for part in parts), strict=True)
-        return tuple(change(list(same)) for same in places)
-
-    return Streams(signals("joints"), signals("channels"), signals("temperatures"), signals("imus"))
-
-
-def from_row(streams: Streams, row: int) -> Streams:
-    """Return the streams without the rows before `row`."""
-    return each([streams], lambda parts: signal_rows(parts[0], row, None))
