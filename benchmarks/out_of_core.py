@@ -12,22 +12,39 @@ from __future__ import annotations
 
 import argparse
 import json
-import resource
 import subprocess
 import sys
 import tempfile
-import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
 from end_to_end import CHECKED, CONTACT, lasting, simulated, written
 from pyarrow import parquet
 
-from ftcal import logs, takes
+from ftcal import logs
 from ftcal.config import read_job
 from ftcal.logs import tables
+
+ONCE = """
+import json, resource, sys, time
+from pathlib import Path
+from ftcal import takes
 from ftcal.pipeline import calibrate
+from ftcal.config import read_job
+short, job = (read_job(Path(name)) for name in sys.argv[1:3])
+calibrate(short)
+takes.IN_MEMORY = int(sys.argv[3])
+start = time.perf_counter()
+sensors = calibrate(job).sensors
+print(json.dumps({
+    "seconds": time.perf_counter() - start,
+    "peak": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
+    "gains": [sensor.fit.estimate.gain.tolist() for sensor in sensors],
+}))
+"""
+"""A process that knows nothing but ftcal."""
 
 TOLD = 100_000
 """Rows that are written at a time."""
@@ -69,29 +86,12 @@ def grown(file: Path, rows: int) -> Path:
     return made
 
 
-def timed(short: Path, job: Path, *, in_memory: bool) -> dict[str, object]:
-    """Return seconds, peak memory [MB] and gains of one calibration in this process."""
-    calibrate(read_job(short))
-    takes.IN_MEMORY = sys.maxsize if in_memory else 0
-    start = time.perf_counter()
-    outcome = calibrate(read_job(job))
-    return {
-        "seconds": time.perf_counter() - start,
-        "peak": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
-        "gains": [sensor.fit.estimate.gain.tolist() for sensor in outcome.sensors],
-    }
-
-
-def child(short: Path, job: Path, *, in_memory: bool = False) -> dict[str, object]:
-    """Return what `timed` does, in a process of its own."""
-    where = "memory" if in_memory else "pieces"
-    said = subprocess.run(
-        [sys.executable, __file__, "--child", str(short), str(job), where],
-        check=True,
-        capture_output=True,
-        text=True,
-    ).stdout
-    found: dict[str, object] = json.loads(said.splitlines()[-1])
+def calibrated(short: Path, job: Path, *, in_memory: bool = False) -> dict[str, Any]:
+    """Return seconds, peak memory [MB] and gains of a calibration in a process of its own."""
+    most = sys.maxsize if in_memory else 0
+    command = [sys.executable, "-c", ONCE, str(short), str(job), str(most)]
+    said = subprocess.run(command, check=True, capture_output=True, text=True).stdout
+    found: dict[str, Any] = json.loads(said)
     return found
 
 
@@ -107,24 +107,20 @@ def main() -> None:
         for count in rows:
             job = grown(file, count)
             log = job.with_suffix("") / "long.parquet"
-            found = child(short, job)
-            seconds = float(str(found["seconds"]))
+            found = calibrated(short, job)
+            seconds = found["seconds"]
             print(
                 f"{count:10d} {seconds:9.2f} {1e6 * seconds / count:9.2f}"
-                f" {float(str(found['peak'])):8.0f} {log.stat().st_size / 1e6:8.0f}",
+                f" {found['peak']:8.0f} {log.stat().st_size / 1e6:8.0f}",
                 flush=True,
             )
             if count == rows[0]:
                 one, other = (np.array(x["gains"])
-                              for x in (found, child(short, job, in_memory=True)))  # fmt: skip
+                              for x in (found, calibrated(short, job, in_memory=True)))  # fmt: skip
                 apart = np.abs(one - other).max(axis=(1, 2)) / np.abs(other).max(axis=(1, 2))
                 print(f"           in memory and in pieces differ by {apart.max():.1e} of a gain")
             log.unlink()
 
 
 if __name__ == "__main__":
-    if sys.argv[1:2] == ["--child"]:
-        told = timed(Path(sys.argv[2]), Path(sys.argv[3]), in_memory=sys.argv[4] == "memory")
-        print(json.dumps(told))
-    else:
-        main()
+    main()

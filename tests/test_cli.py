@@ -151,16 +151,6 @@ def test_inspect_proposes_the_contacts_of_a_job(tmp_path: Path) -> None:
     assert "support" in {phase["kind"] for phase in record["phases"]}
 
 
-@needs_genova02
-def test_inspect_proposes_the_contacts_of_the_job_file_that_it_drafts() -> None:
-    log, robot = GENOVA02 / "left_leg_support", GENOVA02 / "iCubGenova02.urdf"
-    words = ("inspect", log, "--robot", robot, "--feet", "l_sole", "r_sole")
-    told = tomllib.loads(run(*words).stdout.partition("job file:")[2])
-    (drafted,) = tomllib.loads(run(*words, "--init").stdout)["recordings"]
-    assert told["contacts"] == drafted["contacts"]
-    assert ["l_sole", "r_sole"] in [contact["link"] for contact in told["contacts"]]
-
-
 def test_what_is_cut_is_told_once(world: Path, tmp_path: Path) -> None:
     lines = (world / "one.csv").read_text().splitlines()
     for first, last in ((1000, 1080), (2000, 2090)):

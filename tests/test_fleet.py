@@ -349,7 +349,7 @@ def test_a_robot_whose_sensors_are_fitted_at_once_takes_part(tmp_path: Path) -> 
     job = tmp_path / "herd" / "ada" / "job.toml"
     job.write_text(job.read_text() + '\n[fit]\nscope = "whole body"\n')
     out = tmp_path / "out"
-    assert run_fleet(str(job.parent.parent), out, where=Here()).fitted == 1
+    assert run_fleet(str(job.parent.parent), out, where=Processes(2)).fitted == 1
     alone = calibrate_whole_body(read_job(job)).calibration
     assert said_in(out / "ada" / "calibration.json") == said(alone)
     assert run_fleet(str(job.parent.parent), out, where=Here()).fitted == 0

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import tomllib
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from ftcal.config import read_job
 from ftcal.contact import ContactSchedule, Interval
 from ftcal.job_draft import draft
 from ftcal.recording import Recording, Signal
+from ftcal.timeline import Phase
 from real import DATA, needs_genova02
 from small_world import write_world
 from walker import walker
@@ -116,6 +118,51 @@ def test_a_real_log_is_drafted_with_contacts_and_full_scales() -> None:
     assert job["sensors"][3]["full_scale"] == [1587, 1823, 2113, 37, 38, 24]
     support = job["recordings"][0]["contacts"][2]
     assert support["link"] == "l_sole"
+
+
+FEET = ("--feet", "base", "wrist_link")
+
+
+def standing(folder: Path, monkeypatch: pytest.MonkeyPatch, *phases: Phase) -> list[str | Path]:
+    """Write a log in which the feet stood as `phases` say; return what asks for a look at it."""
+    write_world(folder)
+    shown = SimpleNamespace(phases=phases)
+    monkeypatch.setattr("ftcal.inspection.propose_timeline", lambda *_, **__: shown)
+    return [folder / "one.csv", "--robot", folder / "arm.urdf", *FEET]
+
+
+def test_a_look_at_the_feet_proposes_the_contacts_of_the_draft(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    words = standing(
+        tmp_path,
+        monkeypatch,
+        Phase(0.0, 10.0, "double", ("base", "wrist_link")),
+        Phase(10.0, 20.004, "support", ("base",)),
+        Phase(20.004, 21.0, "brushing", ("base", "wrist_link")),
+        Phase(21.0, 40.0, "unknown", ()),
+    )
+    seen = CliRunner().invoke(main, ["inspect", *map(str, words)])
+    told = tomllib.loads(seen.stdout.partition("job file:")[2])
+    (drafted,) = tomllib.loads(ask(*words))["recordings"]
+    assert told == {"contacts": drafted["contacts"]}
+    assert told["contacts"] == [
+        {"start": 0.0, "stop": 10.0, "link": ["base", "wrist_link"]},
+        {"start": 10.0, "stop": 20.0, "link": "base"},
+        {"start": 20.01, "stop": 21.0, "link": ["base", "wrist_link"]},
+    ]
+
+
+def test_feet_that_show_nothing_leave_the_contact_to_a_person(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    words = standing(tmp_path, monkeypatch, Phase(0.0, 40.0, "unknown", ()))
+    text = ask(*words)
+    (take,) = tomllib.loads(text)["recordings"]
+    assert take["contact"] == "base"
+    assert 'contact = "base"  # ? link that touches the world' in text
+    seen = CliRunner().invoke(main, ["inspect", *map(str, words)])
+    assert "proposed" not in seen.stdout
 
 
 def test_init_prints_a_job_file_alone(tmp_path: Path) -> None:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import re
+import tempfile
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -235,6 +237,7 @@ def test_what_is_no_quaternion_is_named(tmp_path: Path) -> None:
         ((0.0, 0.0, 0.0, 0.0), "message 2: quaternion of norm 0, not 1"),
         ((0.0, 0.6, 0.0, 0.6), "message 2: quaternion of norm 0.8485, not 1"),
         ((0.0, float("nan"), 0.0, 1.0), "message 2: quaternion y is nan"),
+        ((0.0, 1e300, 0.0, 1.0), "message 2: quaternion of norm inf, not 1"),
     ):
         bad = ("/tf", TF, START + 10**9, transforms((START + 10**9, "world", "ft", q)))
         said = refused(tmp_path, [*moved("world", "ft", [0.0]), bad])
@@ -256,6 +259,25 @@ def test_a_bag_without_a_wrench_is_refused(tmp_path: Path) -> None:
 def test_clocks_that_never_meet_are_refused(tmp_path: Path) -> None:
     turned = moved("world", "ft", [0.0, 0.1, 0.2], late=10**9)
     assert "no wrench within the time of the attitude; record both" in refused(tmp_path, turned)
+
+
+def test_a_broken_wrench_is_named(tmp_path: Path) -> None:
+    broken = ("/wrist", WRENCH, START + 1, wrench(START + 1, [0, 0, 1e30, 0, 0, 0]))
+    said = refused(tmp_path, [broken, *moved("world", "ft", [0.0, 0.1])])
+    assert "/wrist, message 2: fz is 1e+30, which no sensor reads" in said
+
+
+@settings(max_examples=30, deadline=None)
+@given(flips=st.lists(st.tuples(st.floats(0, 1), st.integers(1, 255)), min_size=1, max_size=4))
+def test_broken_bytes_are_read_or_refused(flips: list[tuple[float, int]]) -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        file = write_db3(Path(folder) / "a.db3", arm(seconds=0.2))
+        raw = bytearray(file.read_bytes())
+        for place, bits in flips:
+            raw[round(place * (len(raw) - 1))] ^= bits
+        file.write_bytes(raw)
+        with suppress(FtcalError):
+            read_bag(file, TO_SENSOR)
 
 
 def test_several_wrenches_are_asked_for(tmp_path: Path) -> None:

@@ -5,7 +5,7 @@ import json
 import re
 import shutil
 import subprocess
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
@@ -21,12 +21,14 @@ from ftcal import report
 from ftcal.calibration import Calibration, Input, Provenance
 from ftcal.config import Job
 from ftcal.errors import OutputError, SensorError
+from ftcal.cross_validation import validate_by_folds
 from ftcal.evidence import sensor_calibration
 from ftcal.fit import FitOptions, fit
 from ftcal.folds import cells
+from ftcal.gathering import PairedSensor
+from ftcal.logs.pieces import mapped, signal_rows
 from ftcal.moments import within
-from ftcal.one_sensor import SensorOutcome, deployed, validate_by_folds
-from ftcal.paired import Paired
+from ftcal.one_sensor import SensorOutcome, deployed
 from ftcal.pairing import FtChannel
 from ftcal.pipeline import Outcome
 from ftcal.plots.figure import plain, shortened, thinned, with_holes
@@ -36,7 +38,8 @@ from ftcal.report.words import figures, fixed, percent, strength, whisker
 from ftcal.robot import FtSensor, Joint, Link, Robot
 from ftcal.samples import Samples
 from ftcal.sensor import Workbench
-from ftcal.validate import held_out, load_envelope, score
+from ftcal.segments import Segment, enveloping
+from ftcal.validate import HeldOut, held_out, named, score
 from ftcal.verdict import judge
 
 HOSTILE = "</script><img src=x onerror=alert(1)>"
@@ -62,6 +65,17 @@ def a_recording(samples: Samples, signal: str, workbench: Workbench) -> Recordin
         (joint,),
         (Signal(signal, names, stamps, logged),),
     )
+
+
+@dataclass(frozen=True)
+class InMemory:
+    recordings: tuple[Recording, ...]
+
+    def between(self, name: str, start: float, stop: float) -> Recording:
+        (found,) = (one for one in self.recordings if one.name == name)
+        return mapped(
+            found, lambda s: signal_rows(s, *np.searchsorted(found.seconds(s), [start, stop]))
+        )
 
 
 def an_outcome(
@@ -96,16 +110,16 @@ def an_outcome(
         drift = 0.1 * square.time if warm else None
         takes.append(replace(square, channels=channels, temperature=drift))
     recordings = tuple(a_recording(take, signal, prior) for take in takes)
-    training = tuple(take.between(0.0, 10.0) for take in takes)
-    test = (takes[0].between(12.0, 19.0),) if tested else ()
+    training = tuple(Segment.of(take.between(0.0, 10.0), 0.5) for take in takes)
+    test = (Segment.of(takes[0].between(12.0, 19.0), 0.5),) if tested else ()
     job = Job(
         robot=Path("robot.urdf"),
         sensors=({"name": sensor, "signal": signal},),  # type: ignore[arg-type]
         recordings=({"log": "logs/walk", "contact": "base"},),  # type: ignore[arg-type]
     )
-    tiles = cells(training, job.signals.smoothing)
+    tiles = cells(training)
     found = fit(tiles, prior, options)
-    envelope = load_envelope(np.concatenate([segment.wrench for segment in training]))
+    envelope = named(enveloping(training))
     pieces = [held_out(s, found.estimate.coefficients, prior) for s in test]
     hold_out = score("hold-out", pieces, envelope) if pieces else None
     k_fold = validate_by_folds(tiles, prior, options or FitOptions(), within, Steps(silent, 5))
@@ -121,7 +135,7 @@ def an_outcome(
     outcome = SensorOutcome(
         ft,
         FtChannel(sensor, signal, prior, f"{name}/heat" if warm else None),
-        tuple(Paired(take, len(take), None) for take in takes),
+        tuple(PairedSensor(take, len(take), len(take), training, test) for take in takes),
         training,
         test,
         found,
@@ -146,8 +160,9 @@ def an_outcome(
             inputs=[Input(role="recording", path=f"logs/{name}", sha256="ab" * 32)],
         ),
     )
-    whole = {recording.name: recording for recording in recordings}
-    return Outcome(job, robot, recordings, whole, flat, (outcome,), calibration), truth
+    return Outcome(
+        job, robot, recordings, InMemory(recordings), flat, (outcome,), calibration
+    ), truth
 
 
 @pytest.fixture(scope="module")
@@ -378,7 +393,16 @@ def test_eight_channels_and_a_temperature_are_shown() -> None:
 def test_scores_without_interval_become_null(walk: Outcome) -> None:
     sensor = walk.sensors[0]
     assert sensor.hold_out is not None
-    short = replace(sensor.hold_out.pieces[0], time=sensor.hold_out.pieces[0].time * 1e-3)
+    piece = sensor.hold_out.pieces[0]
+    short = HeldOut.of_all(
+        piece.recording,
+        piece.start,
+        piece.stop,
+        piece.time * 1e-3,
+        piece.model,
+        piece.workbench,
+        piece.in_situ,
+    )
     few = score("hold-out", [short], sensor.envelope)
     outcome = replace(walk, sensors=(replace(sensor, hold_out=few),))
     made = report.metrics(outcome)

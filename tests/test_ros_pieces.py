@@ -185,6 +185,14 @@ def test_a_file_that_is_cut_short_comes_as_far_as_it_goes(tmp_path: Path) -> Non
     assert_same(put_together(list(in_chunks(file).pieces(rows=7))), whole)
 
 
+def test_what_the_summary_says_again_changes_nothing(tmp_path: Path) -> None:
+    file = write_mcap(tmp_path / "a.mcap", heat([START + n for n in range(200)]))
+    raw = file.read_bytes()
+    again = raw.rindex(b"float64 temperature")  # the definition that the summary repeats
+    file.write_bytes(raw[:again] + b"float65" + raw[again + 7 :])
+    assert_same(put_together(list(in_chunks(file).pieces(rows=7))), logs.read(file))
+
+
 def backwards(count: int) -> list[Message]:
     """Return messages of a topic packed in two ways, whose joints change their order."""
     names = [{"a": 1.0, "b": 2.0}, {"b": 2.0, "a": 1.0}]

@@ -16,7 +16,6 @@ from ftcal.cli import main
 from ftcal.config import Job, read_job
 from ftcal.errors import FtcalError, JobError
 from ftcal.fit import FitOptions, fit
-from ftcal.folds import cells
 from ftcal.motion import FixedContact
 from ftcal.motions import Pace, grid
 from ftcal.paired import pair
@@ -30,6 +29,7 @@ from ftcal.support import standing_on
 from ftcal.synthetic import TRUTH, Conditions, SideBySide, Take, read_truth, simulate, write_session
 from ftcal.urdf import read_robot
 from ftcal.workbench import read_workbench
+from pretend import tiled
 from small_world import robot_text
 
 ROOT = Path(__file__).parents[1]
@@ -327,7 +327,7 @@ def test_faults_off_every_one_of_six_sensors_is_found_to_the_last_digits(tmp_pat
             channels=paired.channels[within],
             wrench=paired.wrench[within],
         )
-        found = fit(cells([kept], 1.0), workbench, FitOptions(penalty=0.0))
+        found = fit(tiled(kept), workbench, FitOptions(penalty=0.0))
         true = session.truth[sensor.name].gain
         error = np.linalg.norm(found.estimate.gain - true, axis=1) / np.linalg.norm(true, axis=1)
         assert found.excitation.rank == 6

@@ -7,7 +7,7 @@ best, and what it cannot tell. Here it becomes a sentence a person can act on.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -15,8 +15,8 @@ import numpy as np
 from ftcal.contact import ContactSchedule, Interval
 from ftcal.errors import DataError
 from ftcal.freeparts import misfits
-from ftcal.hypotheses import fixed_hypotheses
 from ftcal.inquiry import TIE, Belief, Candidate, Inquiry
+from ftcal.link_axes import Conclusion, concluded
 from ftcal.misfit import Misfit
 from ftcal.motion import STANDARD_GRAVITY
 from ftcal.recording import Finding, Recording
@@ -138,12 +138,15 @@ def diagnose(
             f" a sensor of robot {robot.name!r} ({', '.join(robot.sensors) or 'it has none'});"
             " the description is of another robot, or the signals want other names"
         )
-    parts = misfits(recording, robot, schedule, known, gravity=gravity, findings=findings)
-    judged = [name for name in known if any(name in part.sensors for part in parts)]
-    inquiry = Inquiry(parts, {name: fixed_hypotheses(robot, name) for name in judged})
-    belief, hint = inquiry.conclude()
-    sensors = tuple(_sensor(inquiry, belief, name, known[name]) for name in judged)
-    ours = _as_described(parts, robot, known)
+
+    def closed(log: Recording, some: Mapping[str, str]) -> tuple[Misfit, ...]:
+        return misfits(log, robot, schedule, some, gravity=gravity, findings=findings)
+
+    logged = closed(recording, known)
+    seen = concluded(recording, robot, schedule, known, logged, closed)
+    recording, inquiry, belief = seen.recording, seen.inquiry, seen.belief
+    sensors = tuple(_sensor(seen, name, known[name]) for name in inquiry.fixed)
+    ours = _as_described(inquiry.parts, robot, known)
     compared = []
     for title, rival in (rivals or {}).items():
         others = matching_signals(recording, rival)
@@ -153,7 +156,7 @@ def diagnose(
             else ()
         )
         compared.append(_rival(title, robot, ours, _as_described(theirs, rival, others)))
-    word, sentence = _conclusion(robot, inquiry, belief, hint, sensors)
+    word, sentence = _conclusion(robot, inquiry, belief, seen.hint, sensors)
     fitter = [(rival.ratios[0], rival.robot) for rival in compared if rival.ratios and rival.better]
     if fitter and word in {"as described", "cannot tell"}:
         share, best = min(fitter)
@@ -162,7 +165,10 @@ def diagnose(
             f"{best} fits better than {robot.name}: it leaves {100 * share:.0f} % of some misfit"
             " and adds to none; take that description"
         )
-    told = tuple(_part(part, inquiry.described(), belief) for part in parts)
+    before = {(part.frame, part.sensors): part for part in logged}
+    told = tuple(
+        _part(before.get((part.frame, part.sensors), part), part, belief) for part in inquiry.parts
+    )
     return Diagnosis(robot.name, word, sentence, sensors, told, tuple(compared))
 
 
@@ -182,14 +188,15 @@ def touching(phases: Iterable[Phase]) -> ContactSchedule:
     )
 
 
-def _sensor(inquiry: Inquiry, belief: Belief, name: str, signal: str) -> SensorDiagnosis:
+def _sensor(seen: Conclusion, name: str, signal: str) -> SensorDiagnosis:
     """Return what is believed of a sensor, and what else would fit."""
+    inquiry, belief = seen.inquiry, seen.belief
     where = inquiry.borders([name])
     left = inquiry.total(inquiry.squares(belief), where)
     described = inquiry.total(inquiry.squares(inquiry.described()), where)
     believed = belief.sensors[name]
     others = (inquiry.read_as(belief, {name: h}) for h in inquiry.fixed[name] if h != believed)
-    return SensorDiagnosis(
+    told = SensorDiagnosis(
         name,
         signal,
         believed.words,
@@ -201,13 +208,27 @@ def _sensor(inquiry: Inquiry, belief: Belief, name: str, signal: str) -> SensorD
             if inquiry.total(other.squares, where) <= TIE**2 * left
         ),
     )
+    for axes in seen.turned:
+        if axes.sensor == name:
+            # what else is believed is so of the wrench turned back
+            return replace(
+                told,
+                words=", ".join([axes.words, *([told.words] if told.cure else [])]),
+                cure=", and ".join([axes.cure, *([told.cure] if told.cure else [])]),
+                ratio=axes.ratio * told.ratio,
+                as_good=(*axes.as_good, *told.as_good),
+            )
+    return told
 
 
-def _part(part: Misfit, described: Belief, belief: Belief) -> PartDiagnosis:
-    """Return what is left over of a part."""
-    beliefs = described, belief
-    left = [part.left_over(b.maps, b.masses) for b in beliefs]
-    misfit = [float(np.sqrt(part.square(b.maps, b.masses))) for b in beliefs]
+def _part(logged: Misfit, part: Misfit, belief: Belief) -> PartDiagnosis:
+    """Return what is left over of a part as it was logged, and as it is believed to be meant."""
+    still = dict.fromkeys(logged.sensors, np.eye(6))
+    left = [logged.left_over(still), part.left_over(belief.maps, belief.masses)]
+    misfit = [
+        float(np.sqrt(square))
+        for square in (logged.square(still), part.square(belief.maps, belief.masses))
+    ]
     return PartDiagnosis(
         part.frame,
         part.sensors,

@@ -63,7 +63,8 @@ def turns(
         row, column = np.argwhere(~np.isfinite(q))[0]
         raise LogError(f"{where}, message {row + 1}: quaternion {'xyzw'[column]} is"
                        f" {q[row, column]}; mend its publisher, or cut these messages")  # fmt: skip
-    norms = np.linalg.norm(q, axis=1)
+    with np.errstate(over="ignore"):  # infinity is refused as any other norm
+        norms = np.linalg.norm(q, axis=1)
     if (error := np.abs(norms - 1.0)).max() > UNIT:
         row = int(error.argmax())
         raise DataError(f"{where}, message {row + 1}: quaternion of norm {norms[row]:.4g}, not 1;"

@@ -1,52 +1,118 @@
 """Whether a driver logged the wrench of a sensor in the axes of another link.
 
 No relabelling mends that: those axes turn against the sensor's while the robot moves. Here the
-wrench is turned back from the axes of one link after the other (`ftcal.turning`), and the part
-that hangs on the sensor alone says in which it makes sense. A link is no free number.
+wrench is turned back from the axes of one link after the other (`ftcal.turning`), and the balance
+of what hangs on the sensor alone says in which it makes sense. A link is no free number.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ftcal.contact import ContactSchedule
 from ftcal.errors import DataError
-from ftcal.freeparts import AS_LOGGED, misfits
-from ftcal.hypotheses import NEGLIGIBLE
-from ftcal.inquiry import ALARM, MARGIN, TIE
+from ftcal.freeparts import AS_LOGGED
+from ftcal.hypotheses import NEGLIGIBLE, fixed_hypotheses
+from ftcal.inquiry import ALARM, MARGIN, TIE, Belief, Candidate, Inquiry
 from ftcal.kinematics import sensor_pose
 from ftcal.misfit import Misfit
 from ftcal.motion import Motion
 from ftcal.pairing import FtChannel
-from ftcal.recording import Finding, Recording
+from ftcal.recording import Recording
 from ftcal.robot import Robot
 from ftcal.turning import recording_turned_back
 
-Squares = Mapping[tuple[str, tuple[str, ...]], float]
-"""Mean square misfit of every part, by its first link and the sensors on its border."""
+if TYPE_CHECKING:
+    from jaxtyping import Float
+    from numpy import ndarray as Array
+
+FREE = 6
+"""Rank from which on a constant reading of the log has free numbers: a link that explains as much
+is less far-fetched."""
+
+Closed = Callable[[Recording, Mapping[str, str]], Sequence[Misfit]]
+"""`freeparts.misfits` of a recording and its signals by sensor, all else being told."""
 
 
 @dataclass(frozen=True, slots=True)
 class LinkAxes:
     """A sensor whose log makes sense in the axes of another link."""
 
-    channel: FtChannel
-    """With the link as its `wrench_frame`."""
+    sensor: str
+    """Name in the robot description."""
+    signal: str
+    """Signal of the log."""
+    link: str
+    """In whose axes the log gives the wrench."""
     ratio: float
-    """Misfit as described over misfit in those axes, of the part behind the sensor."""
-    as_good: tuple[str, ...]
-    """Other links whose axes fit as well."""
+    """Misfit as described over misfit in those axes, of the parts behind the sensor."""
+    others: tuple[str, ...]
+    """Links whose axes fit as well."""
+
+    @property
+    def channel(self) -> FtChannel:
+        """The sensor as a job would have it that knows of those axes."""
+        return FtChannel(self.sensor, self.signal, AS_LOGGED, wrench_frame=self.link)
+
+    @property
+    def words(self) -> str:
+        """The hypothesis, a phrase that follows "the readings are"."""
+        return f"in the axes of {self.link}"
+
+    @property
+    def cure(self) -> str:
+        """What the user does about it, as an order."""
+        return f'for {self.sensor} say wrench_frame = "{self.link}" in the job'
+
+    @property
+    def as_good(self) -> tuple[str, ...]:
+        """Other hypotheses that fit as well."""
+        return tuple(f"in the axes of {link}" for link in self.others)
 
 
-def as_described(parts: Iterable[Misfit]) -> dict[tuple[str, tuple[str, ...]], float]:
-    """Return the mean square misfit of parts whose sensors are read as they were logged."""
-    return {
-        (part.frame, part.sensors): part.square(dict.fromkeys(part.sensors, np.eye(6)))
-        for part in parts
-    }
+@dataclass(frozen=True, slots=True, eq=False)
+class Conclusion:
+    """What is believed of a log, its wrenches turned back from the axes of other links."""
+
+    turned: tuple[LinkAxes, ...]
+    """Sensors that were logged in such axes; what follows is of the log without them."""
+    recording: Recording
+    inquiry: Inquiry
+    belief: Belief
+    hint: Candidate | None
+    """What would be better still, though not clearly."""
+
+
+def concluded(
+    recording: Recording,
+    robot: Robot,
+    schedule: ContactSchedule,
+    signals: Mapping[str, str],
+    parts: Sequence[Misfit],
+    closed: Closed,
+) -> Conclusion:
+    """Return what is to be believed of a log, of which `parts` are what `closed` makes."""
+    inquiry = inquiry_of(robot, signals, parts)
+    belief, hint = inquiry.conclude()
+    turned = in_axes_of_links(
+        recording, robot, schedule, signals, inquiry=inquiry, belief=belief, closed=closed
+    )
+    if turned:
+        recording = recording_turned_back(recording, robot, [one.channel for one in turned])
+        inquiry = inquiry_of(robot, signals, closed(recording, signals))
+        belief, hint = inquiry.conclude()
+    return Conclusion(turned, recording, inquiry, belief, hint)
+
+
+def inquiry_of(robot: Robot, signals: Mapping[str, str], parts: Sequence[Misfit]) -> Inquiry:
+    """Return the inquiry into the sensors of which some part says something."""
+    judged = [name for name in signals if any(name in part.sensors for part in parts)]
+    return Inquiry(tuple(parts), {name: fixed_hypotheses(robot, name) for name in judged})
 
 
 def in_axes_of_links(
@@ -55,55 +121,61 @@ def in_axes_of_links(
     schedule: ContactSchedule,
     signals: Mapping[str, str],
     *,
-    described: Squares,
-    beaten: Squares,
-    gravity: tuple[float, float, float],
-    findings: Sequence[Finding],
+    inquiry: Inquiry,
+    belief: Belief,
+    closed: Closed,
 ) -> tuple[LinkAxes, ...]:
-    """Return the sensors whose log is that of another link's axes, as far as it is clear.
+    """Return the sensors whose log is in the axes of another link, where that is clear.
 
-    That a link divides an alarming misfit (`described`) of the part behind its sensor by `MARGIN`,
-    that it does better than any constant reading of the log (`beaten`), and that with all of them
-    no other part becomes worse. Arguments otherwise as `diagnosis.diagnose` has them.
+    A link must divide an alarming misfit of the parts behind the sensor alone by `MARGIN`, do
+    better than what is believed of the log as it stands, and harm no other part. `signals` maps
+    F/T sensors to signals in N and Nm, of which `inquiry` concluded `belief`.
     """
+    described = inquiry.squares(inquiry.described())
+    believed = inquiry.squares(belief)
     found = []
-    for name, signal in signals.items():
-        alone = {key: square for key, square in described.items() if key[1] == (name,)}
-        if not any(square > ALARM**2 for square in alone.values()):
+    for name in inquiry.fixed:
+        before = behind(inquiry.parts, described, name)
+        if not before > ALARM**2:
             continue
-        left: dict[str, float] = {}
+        free = belief.masses is not None or belief.sensors[name].rank >= FREE
+        rival = behind(inquiry.parts, believed, name) * TIE ** (2 if free else -2)
+        left = {}
         for link in candidates(recording, robot, name, schedule):
-            channel = FtChannel(name, signal, AS_LOGGED, wrench_frame=link)
-            try:
+            channel = FtChannel(name, signals[name], AS_LOGGED, wrench_frame=link)
+            with suppress(DataError):  # its joints were not logged together with the sensor
                 turned = recording_turned_back(recording, robot, [channel])
-                parts = misfits(
-                    turned, robot, schedule, {name: signal}, gravity=gravity, findings=findings
-                )
-            except DataError:  # its joints were not logged together with the sensor
-                continue
-            now = as_described(parts)
-            helps = all(
-                square * MARGIN**2 < described[key] and square < beaten[key]
-                for key, square in now.items()
-                if key in alone
-            )
-            if helps and now.keys() >= alone.keys():
-                left[link] = sum(now.values())
-        if left:
-            best = min(left.values())
-            # the first of those that fit alike: the root, a contact, then those near the root
-            first, *others = (link for link in left if left[link] <= TIE**2 * best)
-            channel = FtChannel(name, signal, AS_LOGGED, wrench_frame=first)
-            ratio = float(np.sqrt(sum(alone.values()) / left[first]))
-            found.append(LinkAxes(channel, ratio, tuple(others)))
+                parts = closed(turned, {name: signals[name]})
+                square = behind(parts, as_described(parts), name)
+                if square * MARGIN**2 < before and square <= rival:
+                    left[link] = square
+        alike = [link for link, square in left.items() if square <= TIE**2 * min(left.values())]
+        if alike:
+            # the first of those that fit alike: the root, what touches, those near the root
+            first, *others = alike
+            ratio = float(np.sqrt(before / left[first]))
+            found.append(LinkAxes(name, signals[name], first, ratio, tuple(others)))
     if not found:
         return ()
     turned = recording_turned_back(recording, robot, [one.channel for one in found])
-    together = as_described(
-        misfits(turned, robot, schedule, signals, gravity=gravity, findings=findings)
+    parts = closed(turned, signals)
+    limits = {(p.frame, p.sensors): s for p, s in zip(inquiry.parts, described, strict=True)}
+    harmed = any(
+        square > TIE**2 * limits.get((part.frame, part.sensors), np.inf)
+        for part, square in zip(parts, as_described(parts), strict=True)
     )
-    harmed = any(square > TIE**2 * described.get(key, np.inf) for key, square in together.items())
     return () if harmed else tuple(found)
+
+
+def as_described(parts: Sequence[Misfit]) -> Float[Array, "P"]:
+    """Return the mean square misfit of parts whose sensors are read as they were logged."""
+    return np.array([part.square(dict.fromkeys(part.sensors, np.eye(6))) for part in parts])
+
+
+def behind(parts: Sequence[Misfit], squares: Float[Array, "P"], sensor: str) -> float:
+    """Return the mean square misfit of the parts behind one sensor alone; NaN where none is."""
+    seconds = np.array([part.seconds * (part.sensors == (sensor,)) for part in parts])
+    return float(squares @ seconds / seconds.sum()) if seconds.any() else float("nan")
 
 
 def candidates(
@@ -116,14 +188,12 @@ def candidates(
     logged = {joint for signal in recording.joints for joint in signal.columns}
     still = np.zeros((1, len(robot.moving_joints)))
     rest = Motion(np.zeros(1), robot.moving_joints, still, still, still)
-    seen: list[tuple[frozenset[str], np.ndarray[tuple[int, int], np.dtype[np.float64]]]] = [
-        (frozenset(), np.eye(3))
-    ]
+    seen: list[tuple[set[str], Float[Array, "3 3"]]] = [(set(), np.eye(3))]
     touching = [link for interval in schedule.intervals for link in interval.touching]
     massive = [name for name, link in robot.links.items() if link.mass > 0.0]
     for link in dict.fromkeys([robot.root, *touching, *massive]):
         way = robot.path(link, robot.sensor(sensor).child)
-        moving = frozenset(joint.name for joint in way if joint.kind != "fixed")
+        moving = {joint.name for joint in way if joint.kind != "fixed"}
         L_R_S = sensor_pose(robot, rest, link, sensor)[0, :3, :3]
         alike = any(
             moving == other and np.allclose(L_R_S, R, rtol=0.0, atol=NEGLIGIBLE)

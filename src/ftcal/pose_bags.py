@@ -10,7 +10,7 @@ import numpy as np
 from ftcal.errors import DataError, LogError, unknown
 from ftcal.frame_tree import FrameTree, listed, rotation_from_quaternion, turns
 from ftcal.logs.ros_poses import PoseBag, read_pose_bag
-from ftcal.pose_clocks import joined
+from ftcal.pose_clocks import BROKEN, joined
 from ftcal.poses import Poses, gravity_in_sensor, other_conventions
 from ftcal.recording import Signal
 
@@ -80,7 +80,12 @@ def _wrench(bag: Path, found: PoseBag, topic: str | None) -> tuple[Signal, str]:
     name = topic or next(iter(known))
     if name not in known:
         raise DataError(f"{bag}: {unknown('wrench', name, known)}")
-    return known[name]
+    signal, frame = known[name]
+    row, column = np.unravel_index(np.abs(signal.values).argmax(), signal.values.shape)
+    if abs(value := signal.values[row, column]) > BROKEN:
+        raise LogError(f"{bag}: {name}, message {row + 1}: {signal.columns[column]} is"
+                       f" {value:.3g}, which no sensor reads; cut the message")  # fmt: skip
+    return signal, frame
 
 
 def _posed(bag: Path, found: PoseBag, topic: str | None) -> Signal:

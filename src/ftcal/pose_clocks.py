@@ -15,6 +15,9 @@ if TYPE_CHECKING:
     from jaxtyping import Float, Int
     from numpy import ndarray as Array
 
+BROKEN = 1e9
+"""Numbers beyond are broken, not large, in any unit."""
+
 FAST, OFTEN = np.radians(10.0), 0.05
 """Gravity that turns faster [rad/s] in this share of the rows: the tool is thrown about."""
 

@@ -17,7 +17,7 @@ from ftcal.logs import columns
 from ftcal.logs.layout import WRENCH_AXES, Layout
 from ftcal.logs.tables_csv import load_csv
 from ftcal.logs.tables_time import nanoseconds
-from ftcal.pose_clocks import joined
+from ftcal.pose_clocks import BROKEN, joined
 from ftcal.poses import (
     SCALES,
     Attitude,
@@ -44,9 +44,6 @@ HABITS: Mapping[Attitude, tuple[str, ...]] = MappingProxyType({
 
 SUFFIXES = frozenset({".csv", ".tsv", ".txt", ".parquet"})
 """File names that are read as tables of poses."""
-
-BROKEN = 1e9
-"""Numbers beyond are broken, not large, in any unit."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

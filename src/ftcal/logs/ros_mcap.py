@@ -211,9 +211,11 @@ class McapFile:
         stream = ReadDataStream(BytesIO(record))
         if opcode == _SCHEMA:
             schema = Schema.read(stream)
-            self._schemas[schema.id] = schema
+            self._schemas.setdefault(schema.id, schema)  # chunks and summary say it again
             return
         channel = Channel.read(stream)
+        if channel.id in self._topics:
+            return
         schema = self._schemas.get(channel.schema_id)
         language = schema.encoding if schema else ""
         topic = self._topics[channel.id] = Topic(

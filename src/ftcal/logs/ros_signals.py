@@ -103,7 +103,7 @@ class Seen:
             self.strange = self.strange or (self.kept + row, column, float(values[row, column]))
             self.strangers += int(finite.size - finite.sum())
         again = len(self.last)
-        clock = np.concatenate([self.last, stamps])
+        clock = np.concatenate([self.last, stamps]) if again else stamps
         signal = Signal("", (), clock, np.empty((len(clock), 0)))
         row, self.kept = self.kept + 1 - again, self.kept + len(stamps)
         try:

@@ -22,7 +22,7 @@ from ftcal.logs.tables_csv import load_csv
 BLOCK = 1 << 20
 """Bytes of a CSV file that are parsed at a time; Arrow reads 32 of them ahead."""
 _HEAD = 1 << 18  # bytes from which the types of a CSV file are told, as `tables_csv` does
-_BUFFER = 1 << 20  # bytes of each column that are read ahead: else a row group comes whole
+_BUFFER = 1 << 17  # bytes of each column that are read ahead: else a row group comes whole
 
 
 class Batched(Protocol):
