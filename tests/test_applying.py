@@ -20,7 +20,6 @@ from ftcal.applying import (
     chosen_offset,
     corrected,
     refused,
-    temperature_at,
     wrench_sd,
     writer,
 )
@@ -31,7 +30,7 @@ from ftcal.errors import DataError, LogError, OutputError
 from ftcal.logs import tables
 from ftcal.pipeline import calibrate
 from ftcal.recording import NANOSECONDS, Recording, Signal
-from ftcal.signals import default_gap, interpolate, longest_pause
+from ftcal.signals import default_gap, interpolate, longest_pause, temperature_at
 from pretend import FULL_SCALE
 from small_world import take, truth, write_world
 

@@ -67,7 +67,8 @@ def test_offsets_belong_to_the_deployed_gain(outcome: Outcome) -> None:
     (record,) = outcome.calibration.sensors
     (sensor,) = outcome.sensors
     for segment, offset in zip((*sensor.training, *sensor.test), record.offsets, strict=True):
-        residual = record.model(offset.offset).wrench(segment.channels) - segment.wrench
+        some = segment.samples
+        residual = record.model(offset.offset).wrench(some.channels) - some.wrench
         scale = record.prior.full_scale
         np.testing.assert_allclose(residual.mean(axis=0) / scale, 0.0, atol=1e-12)
 

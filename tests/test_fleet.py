@@ -132,7 +132,8 @@ def test_with_the_in_situ_offset_another_record_is_kept(warm: Job, tmp_path: Pat
     for job in (warm, in_situ):
         work = work_of(job, robot, channels)["t3"]
         kept += [paired_take(work, shelf), paired_take(work, shelf)]
-    assert [one.sensors["ft_sensor"].training[0].attitude is None for one in kept] == [True, True, False, False]
+    attitudes = [one.sensors["ft_sensor"].training[0].attitude for one in kept]
+    assert [attitude is None for attitude in attitudes] == [True, True, False, False]
 
 
 def test_logs_are_read_when_they_are_looked_at(warm: Job) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from ftcal.moments import Moments
 from ftcal.offset import InSituOffset, in_situ_offset
 from pretend import bent, workbench
 
@@ -23,7 +24,7 @@ def swung(spread: float, *, plane: bool = False) -> InSituOffset:
     wrench = np.concatenate([force, np.cross(centre, force)], axis=1)
     gain = bent(PRIOR, rng)
     channels = np.linalg.solve(gain, wrench.T).T + OFFSET
-    return in_situ_offset(channels, gravity, centre, PRIOR.scaling)
+    return in_situ_offset(Moments.of(np.hstack([channels, gravity, centre])), PRIOR.scaling)
 
 
 def test_offset_is_exact_with_a_constant_centre_of_mass() -> None:

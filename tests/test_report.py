@@ -20,8 +20,8 @@ import pretend
 from ftcal import report
 from ftcal.calibration import Calibration, Input, Provenance
 from ftcal.config import Job
-from ftcal.errors import OutputError, SensorError
 from ftcal.cross_validation import validate_by_folds
+from ftcal.errors import OutputError, SensorError
 from ftcal.evidence import sensor_calibration
 from ftcal.fit import FitOptions, fit
 from ftcal.folds import cells
@@ -37,8 +37,8 @@ from ftcal.recording import NANOSECONDS, Finding, Recording, Signal
 from ftcal.report.words import figures, fixed, percent, strength, whisker
 from ftcal.robot import FtSensor, Joint, Link, Robot
 from ftcal.samples import Samples
-from ftcal.sensor import Workbench
 from ftcal.segments import Segment, enveloping
+from ftcal.sensor import Workbench
 from ftcal.validate import HeldOut, held_out, named, score
 from ftcal.verdict import judge
 

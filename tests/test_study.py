@@ -25,6 +25,7 @@ from ftcal.external import external_wrenches
 from ftcal.first_validation import FirstValidation, first_validation, norms, training_sets
 from ftcal.law import Law, aligned
 from ftcal.logs import yarp
+from ftcal.moments import Moments
 from ftcal.motion import FixedContact
 from ftcal.offset import InSituOffset, in_situ_offset
 from ftcal.pairing import one_sided
@@ -501,7 +502,7 @@ def test_an_ellipsoid_without_dynamics_has_the_planted_centre() -> None:
     wrench = np.hstack([8.0 * gravity, np.cross(centre, 8.0 * gravity)])
     offset = 0.1 * FULL_SCALE
     channels = np.linalg.solve(TRUE, (wrench - offset).T).T
-    found = in_situ_offset(channels, gravity, centre, PRIOR.scaling)
+    found = in_situ_offset(Moments.of(np.hstack([channels, gravity, centre])), PRIOR.scaling)
     assert found.refusal is None
     planted_raw = -np.linalg.solve(TRUE, offset)
     np.testing.assert_allclose(found.offset, planted_raw, atol=1e-9 * abs(planted_raw).max())

@@ -270,8 +270,8 @@ def segment_offsets(
         offsets.append(
             SegmentOffset(
                 segment.samples.recording,
-                segment.samples.start,
-                segment.samples.stop,
+                float(segment.spans[0, 0]),
+                float(np.nextafter(segment.spans[-1, 1], np.inf)),
                 estimate.offset(moments),
                 estimate.offset_error(moments, noise),
             )
