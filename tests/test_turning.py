@@ -272,15 +272,19 @@ def found(turned: Path) -> Outcome:
     return calibrate(read_job(turned))
 
 
-def assert_alike(ours: SensorCalibration, theirs: SensorCalibration) -> None:
+def assert_alike(
+    ours: SensorCalibration, theirs: SensorCalibration, *, tolerance: float = 1e-9
+) -> None:
     """One clock for joints and sensor: the log was turned back but for the rounding of numbers.
 
-    Two roundings of 1e-16 of a load, through normal equations of condition 1e4.
+    Roundings of 1e-16 of a load go through normal equations of condition 1e4. Gains in the largest
+    entry of their row, offsets in N and Nm.
     """
     scale = np.abs(np.array(theirs.fitted_gain)).max(axis=1, keepdims=True)
-    np.testing.assert_allclose(ours.fitted_gain / scale, theirs.fitted_gain / scale, atol=1e-9)
+    change = np.array(ours.fitted_gain) - np.array(theirs.fitted_gain)
+    assert np.abs(change / scale).max() < tolerance
     for one, other in zip(ours.offsets, theirs.offsets, strict=True):
-        np.testing.assert_allclose(one.offset, other.offset, rtol=1e-7, atol=1e-7)
+        assert np.abs(np.array(one.offset) - np.array(other.offset)).max() < 1e3 * tolerance
         assert (one.start, one.stop) == (other.start, other.stop)
     assert [v.verdict for v in ours.verdicts] == [v.verdict for v in theirs.verdicts]
 
@@ -327,9 +331,8 @@ def test_the_doctor_sees_the_numbers_as_they_were_logged(turned: Path, tmp_path:
         lines[row] = ",".join([*lines[row].split(",")[:4], *stuck])
     (tmp_path / "w" / "one.csv").write_text("\n".join(lines) + "\n")
     findings = calibrate(read_job(tmp_path / "w" / "job.toml")).findings
-    print([f for f in findings])
-    (frozen,) = [finding for _, finding in findings if finding.kind == "frozen"]
-    assert frozen.cut
+    (frozen,) = [finding for _, finding in findings if finding.cut]
+    assert (frozen.kind, frozen.signal) == ("frozen", "ft")
     np.testing.assert_allclose([frozen.start, frozen.stop], [9.99, 12.99], atol=0.02)
 
 
@@ -347,8 +350,10 @@ def test_all_sensors_at_once_are_turned_as_well(tmp_path: Path) -> None:
         calibrate_whole_body(read_job(write_wrenches(tmp_path / name, link, "whole body")))
         for name, link in (("turned", LINK), ("plain", None))
     )
-    assert_alike(ours.calibration.sensors[0], theirs.calibration.sensors[0])
-    assert ours.calibration.sensors[0].wrench_frame == LINK
+    (one,), (other,) = ours.calibration.sensors, theirs.calibration.sensors
+    # the noise of the balances is found by iteration, which stops at a millionth
+    assert_alike(one, other, tolerance=1e-5)
+    assert one.wrench_frame == LINK
 
 
 def test_a_fit_of_all_sensors_without_the_key_is_refused_by_its_name(tmp_path: Path) -> None:

@@ -153,6 +153,8 @@ class Growing:
         self.envelope = _around(self.envelope, loads(rows[:, -6:]))
         if attitude is not None:
             self.attitude.append(Moments.of(np.hstack([rows[:, :channels], attitude])))
+            if len(self.attitude) > MOST_CELLS:
+                self.attitude = [total(self.attitude)]
 
     def segment(self) -> Segment:
         """Return what has become of it; `ValueError` without a sample."""
@@ -183,7 +185,7 @@ class Growing:
 
     def _merge(self, most: int, *, settle: bool = False) -> None:
         """Put parts of one cell together, and pairs of cells where there are more than `most`."""
-        if not settle and sum(map(len, self.cells)) <= 2 * most:
+        if not settle and sum(map(len, self.cells)) <= most + most // 4:
             return
         cells = Stacked.joined(self.cells, 0)
         numbers = np.concatenate(self.numbers)
