@@ -25,11 +25,11 @@ from ftcal.cli import main
 from ftcal.compute import Cluster, Here, Processes
 from ftcal.config import Job, read_job
 from ftcal.drift import Drift, deviations, drift, limit
-from ftcal.errors import FtcalError, JobError, LogError
+from ftcal.errors import FtcalError, JobError, LogError, SensorError
 from ftcal.fleet import Fleet, RobotState, SensorState, run_fleet
 from ftcal.fleet_table import print_fleet
 from ftcal.paired_takes import KINDS, paired_take, work_of
-from ftcal.pipeline import calibrate, described
+from ftcal.pipeline import calibrate, described, score_calibration
 from ftcal.remote import fetched
 from ftcal.takes import Logs
 from ftcal.whole_pipeline import calibrate_whole_body
@@ -93,6 +93,16 @@ def test_the_warm_job_shows_what_it_is_for(serial: dict[str, Any]) -> None:
     (sensor,) = serial["sensors"]
     assert sensor["reference_temperature"] == pytest.approx(34.5, abs=0.1)
     assert [offset["recording"] for offset in sensor["offsets"]] == ["t3", "t3", "t4"]
+
+
+def test_a_temperature_term_asks_for_the_thermometer(warm: Job) -> None:
+    calibration = calibrate(warm).calibration
+    cold = warm.model_copy(
+        update={"sensors": (warm.sensors[0].model_copy(update={"temperature": None}),)}
+    )
+    assert score_calibration(calibration, warm)
+    with pytest.raises(SensorError, match='names no thermometer; add temperature = "heat"'):
+        score_calibration(calibration, cold)
 
 
 def test_a_process_pool_calibrates_as_one_process_does_bit_for_bit(

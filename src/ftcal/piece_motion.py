@@ -42,9 +42,8 @@ class Source:
         Elsewhere they are NaN. `piece` holds what lies within `overlap` of the clock.
         """
         signal = named(piece, self.role, self.signal)
-        table = np.empty((3, len(clock), len(self.columns)))
-        known = np.zeros(len(clock), dtype=bool)
         every = self.columns == tuple(range(signal.values.shape[1]))
+        parts = []
         for one in self.filters:
             rows = one.rows(clock)
             if rows.start >= rows.stop:
@@ -52,9 +51,14 @@ class Source:
             first, last = np.searchsorted(signal.stamps, [one.start, one.stop + 1])
             values = signal.values[first:last]
             values = values if every else np.ascontiguousarray(values[:, self.columns])
-            table[:, rows] = one.derive(signal.stamps[first:last], values, clock[rows])
+            parts.append((rows, one.derive(signal.stamps[first:last], values, clock[rows])))
+        if len(parts) == 1 and parts[0][0] == slice(0, len(clock)):
+            return parts[0][1], np.ones(len(clock), dtype=bool)
+        table = np.full((3, len(clock), len(self.columns)), np.nan)
+        known = np.zeros(len(clock), dtype=bool)
+        for rows, derived in parts:
+            table[:, rows] = derived
             known[rows] = True
-        table[:, ~known] = np.nan
         return table, known
 
 

@@ -15,7 +15,7 @@ from ftcal.archive import Shelf
 from ftcal.calibration import Calibration
 from ftcal.compute import Executor, Here
 from ftcal.config import Job, SensorSection
-from ftcal.errors import DataError, RobotError
+from ftcal.errors import DataError, RobotError, SensorError
 from ftcal.evidence import provenance, sensor_calibration
 from ftcal.one_sensor import SensorOutcome, calibrate_sensor
 from ftcal.paired_takes import paired_takes
@@ -180,9 +180,17 @@ def score_calibration(
 
 
 def calibrated_channel(calibration: Calibration, robot: Robot, section: SensorSection) -> FtChannel:
-    """Return a sensor of the job as its calibration knows it."""
+    """Return a sensor of the job as its calibration knows it.
+
+    Raises `SensorError` where it was not calibrated, or with a temperature that the job lacks.
+    """
     known = calibration.sensor(robot.sensor(section.name).name)
     check_wrench_frame(robot, section)
+    if known.temperature_gain is not None and section.temperature is None:
+        raise SensorError(
+            f"sensor {known.sensor!r}: its calibration has a temperature term, the job names no"
+            f' thermometer; add temperature = "{known.temperature_signal}"'
+        )
     return FtChannel(
         known.sensor, section.signal, known.workbench(), section.temperature, section.wrench_frame
     )
