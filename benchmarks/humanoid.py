@@ -204,7 +204,7 @@ def judged(job: Job, truth: Mapping[str, Any]) -> Judged:
         inside = (seconds >= start) & (seconds < stop)
         raw = result.channel.workbench.channels(signal.values[inside])
         alone = by_part[part]
-        (segment,) = (s for s in alone.training if s.recording == walk.label)
+        (segment,) = (s for s in alone.training if s.samples.recording == walk.label)
         ways = {
             "Workbench": alone.channel.workbench.gain,
             "separate": alone.fit.estimate.gain,

@@ -29,11 +29,12 @@ from ftcal.errors import DataError, JobError, RobotError
 from ftcal.export import export
 from ftcal.kinematics import sensor_pose
 from ftcal.live import WrenchReader
-from ftcal.logs.pieces import Pieces, WholeLog
+from ftcal.logs.pieces import Pieces, WholeLog, cut
 from ftcal.motion import Motion
 from ftcal.pairing import FtChannel
-from ftcal.pipeline import Outcome, calibrate, described
+from ftcal.pipeline import Outcome, calibrate, described, score_calibration
 from ftcal.preparation import ingredients, prepare
+from ftcal.progress import Steps, silent
 from ftcal.recording import Recording, Signal
 from ftcal.robot import Robot
 from ftcal.sensor import AXES, Workbench
@@ -186,8 +187,6 @@ def test_pieces_put_together_are_the_whole_bit_for_bit(
 
 
 def shown(whole: Recording, start: int, stop: int, overlap: float) -> Recording:
-    from ftcal.logs.pieces import cut
-
     margin = round(overlap * 1e9)
     return cut(whole, start - margin, stop + margin)
 
@@ -315,6 +314,17 @@ def test_a_calibration_from_pieces_is_the_same_bit_for_bit(
     assert again.calibration.sensors == found.calibration.sensors
 
 
+def test_scores_on_a_turned_log_are_those_of_the_log_not_turned(
+    found: Outcome, turned: Path, plain: Path
+) -> None:
+    known = found.calibration
+    ours, theirs = (
+        score_calibration(known, read_job(file))["ft_sensor"] for file in (turned, plain)
+    )
+    for name, score in theirs.by_name.items():
+        assert ours.by_name[name].rms == pytest.approx(score.rms, abs=1e-6)
+
+
 def test_the_report_looks_at_the_turned_log(found: Outcome, expected: Outcome) -> None:
     ours, theirs = (one.logs.between("one", 3.0, 5.0).channels[0] for one in (found, expected))
     assert len(ours) == 200
@@ -351,7 +361,7 @@ def test_all_sensors_at_once_are_turned_as_well(tmp_path: Path) -> None:
         for name, link in (("turned", LINK), ("plain", None))
     )
     (one,), (other,) = ours.calibration.sensors, theirs.calibration.sensors
-    # the noise of the balances is found by iteration, which stops at a millionth
+    # noise and strength are agreed upon in rounds, each of which magnifies the roundings: 5e-7
     assert_alike(one, other, tolerance=1e-5)
     assert one.wrench_frame == LINK
 
@@ -378,8 +388,6 @@ def test_a_recording_of_a_study_is_turned_and_kept_apart(turned: Path, plain: Pa
 
 
 def test_recordings_read_again_are_turned_again(turned: Path) -> None:
-    from ftcal.progress import Steps, silent
-
     job = read_job(turned)
     robot, channels = described(job)
     kept, again = (
@@ -474,7 +482,14 @@ def test_an_export_says_where_the_driver_may_turn(written: Path, tmp_path: Path)
     assert any("into the axes of wrist_link comes after it" in remark for remark in remarks)
 
 
-def without_key(file: Path, folder: Path, old: str, new: str) -> Path:
+def test_the_loads_of_such_a_log_cannot_be_compared(written: Path, turned: Path) -> None:
+    refused = ran("diff", written, written, "--log", turned.parent / "two.csv")
+    assert refused.exit_code == 1
+    assert f"'ft' is in the axes of '{LINK}'" in " ".join(refused.output.split())
+    assert ran("diff", written, written).exit_code == 0
+
+
+def changed(file: Path, folder: Path, old: str, new: str) -> Path:
     """Copy the job beside the files that it names, changed in one place."""
     text = file.read_text()
     assert old in text
@@ -484,7 +499,7 @@ def without_key(file: Path, folder: Path, old: str, new: str) -> Path:
 
 
 def test_an_unknown_link_is_offered_the_near_name(turned: Path, tmp_path: Path) -> None:
-    job = without_key(turned, tmp_path, f'"{LINK}"', '"wrist_lnk"')
+    job = changed(turned, tmp_path, f'"{LINK}"', '"wrist_lnk"')
     with pytest.raises(
         RobotError, match=r"'ft_sensor': wrench_frame: no link 'wrist_lnk'.*wrist_link"
     ):
@@ -492,6 +507,6 @@ def test_an_unknown_link_is_offered_the_near_name(turned: Path, tmp_path: Path) 
 
 
 def test_raw_channels_have_no_axes(turned: Path, tmp_path: Path) -> None:
-    job = without_key(turned, tmp_path, 'logged = "wrench"', 'logged = "channels"')
+    job = changed(turned, tmp_path, 'logged = "wrench"', 'logged = "channels"')
     with pytest.raises(JobError, match=r"'ft_sensor': wrench_frame = 'wrist_link'.*raw channels"):
         read_job(job)

@@ -176,6 +176,12 @@ def readings(old: Installed, new: Installed, recording: Recording) -> Float[Arra
                 f" {len(recording.channels)}; give calibration.json for A or B"
             )
         signal = recording.channels[0].name
+    for law in (old, new):
+        if link := (law.about or {}).get("wrench_frame"):
+            raise DataError(
+                f"signal {signal!r} is in the axes of {link!r}, the laws in those of the sensor;"
+                " compare without --log"
+            )
     values = recording.channel(signal).values
     logged = values[np.isfinite(values).all(axis=1)]
     if not len(logged):

@@ -133,7 +133,7 @@ class Turning:
         for start in range(0, len(kept), BLOCK_ROWS):
             rows = slice(start, start + BLOCK_ROWS)
             q = position[rows]
-            motion = Motion(np.zeros(len(q)), tuple(turn.joints), q, q, q)  # only where it is
+            motion = Motion(np.zeros(len(q)), tuple(turn.joints), q, q, q)  # no pose asks for rates
             L_R_S = sensor_pose(self.robot, motion, turn.link, turn.sensor)[:, :3, :3]
             values[rows] = in_sensor(L_R_S, kept.values[rows])
         return replace(kept, values=values)
