@@ -25,8 +25,8 @@ from ftcal.contact import ContactSchedule, Interval
 from ftcal.motion import STANDARD_GRAVITY, Motion
 from ftcal.pairing import FtChannel, SignalOptions
 from ftcal.recording import Recording, Signal
+from ftcal.run_filter import odd_window
 from ftcal.sensor import AXES, Workbench
-from ftcal.signals import odd_window
 from ftcal.urdf import read_robot
 
 MODEL = "iCubGazeboV2_7"

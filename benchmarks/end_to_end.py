@@ -39,8 +39,8 @@ from ftcal.logs import tables
 from ftcal.motion import Motion
 from ftcal.pipeline import calibrate
 from ftcal.recording import Recording, Signal
+from ftcal.run_filter import odd_window
 from ftcal.scenario import read_scenario
-from ftcal.signals import odd_window
 from ftcal.staging import stage
 from ftcal.urdf import read_robot
 

@@ -8,15 +8,8 @@ from hypothesis import strategies as st
 from ftcal.errors import DataError
 from ftcal.filters import smooth_and_derive
 from ftcal.recording import Finding, Recording, Signal
-from ftcal.signals import (
-    default_gap,
-    interpolate,
-    joint_motion,
-    odd_window,
-    runs,
-    smooth_runs,
-    usable,
-)
+from ftcal.run_filter import odd_window
+from ftcal.signals import default_gap, interpolate, joint_motion, runs, smooth_runs, usable
 
 ROBOT = Path(__file__).resolve().parents[2] / "shared" / "data" / "icub-genova02"
 EPOCH = 1_457_614_036_659_765_000

@@ -29,14 +29,8 @@ from ftcal.motion import Contact, Motion
 from ftcal.pairing import FtChannel, SignalOptions, contact_motion
 from ftcal.recording import Finding, Recording
 from ftcal.robot import Robot, SubModel
-from ftcal.signals import (
-    SMOOTHING_ORDER,
-    interpolate,
-    joint_motion,
-    odd_window,
-    smooth_runs,
-    usable,
-)
+from ftcal.run_filter import odd_window
+from ftcal.signals import SMOOTHING_ORDER, interpolate, joint_motion, smooth_runs, usable
 from ftcal.spatial import wrench_transform
 
 if TYPE_CHECKING:

@@ -14,7 +14,8 @@ import numpy as np
 
 from ftcal.logs.pieces import ROLES, Pieces, Role
 from ftcal.recording import NANOSECONDS, Finding, Recording, Signal
-from ftcal.signals import RunFilter, longest_pause, runs, too_short, usable
+from ftcal.run_filter import RunFilter, too_short
+from ftcal.signals import longest_pause, runs, usable
 
 if TYPE_CHECKING:
     from jaxtyping import Int

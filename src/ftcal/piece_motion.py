@@ -16,7 +16,7 @@ from ftcal.clocks import Clocks
 from ftcal.errors import DataError, raise_all
 from ftcal.logs.pieces import Role, named
 from ftcal.recording import Recording
-from ftcal.signals import RunFilter
+from ftcal.run_filter import RunFilter
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int

@@ -31,31 +31,19 @@ from ftcal.motion import Contact, FixedContact, Motion
 from ftcal.pairing import (
     FtChannel,
     SignalOptions,
-    inertial_unit,
     moving_contact,
-    one_sided,
 )
-from ftcal.piece_motion import Source, reach, sources
+from ftcal.piece_motion import Source, reach
+from ftcal.piece_parts import Part, check_width, contact_source, parts_of
 from ftcal.recording import NANOSECONDS, Finding, Recording
 from ftcal.robot import Robot
-from ftcal.signals import joint_owners, odd_window, temperature_at, usable
+from ftcal.run_filter import odd_window
+from ftcal.signals import temperature_at, usable
 from ftcal.smoothing import Rows, Smoother
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
     from numpy import ndarray as Array
-
-
-@dataclass(frozen=True, slots=True)
-class Part:
-    """Sensors that one half of the robot shows in one interval, from the same joint signals."""
-
-    interval: Interval
-    channels: tuple[FtChannel, ...]
-    joints: tuple[str, ...]
-    """All that their model wrenches need, signal by signal."""
-    sources: tuple[Source, ...]
-    """The signals that log them."""
 
 
 @dataclass(slots=True, eq=False)
@@ -111,8 +99,8 @@ class Pairing:
         for channel in channels:
             check_width(head, channel)
         where = f"recording {head.name!r}"
-        parts = tuple(_parts(head, robot, channels, schedule, clocks, options))
-        contact = None if imu is None else _contact_source(head, imu, clocks, options)
+        parts = tuple(parts_of(head, robot, channels, schedule, clocks, options))
+        contact = None if imu is None else contact_source(head, imu, clocks, options)
         thermometers = [head.temperature(c.temperature).name for c in channels if c.temperature]
         pauses = {name: clocks["temperatures", name].gap for name in thermometers}
         some = [source for part in parts for source in part.sources]
@@ -289,72 +277,3 @@ def same_clock(own: Recording, channels: Sequence[FtChannel]) -> list[list[FtCha
         else:
             groups.append([channel])
     return groups
-
-
-def check_width(head: Recording, channel: FtChannel) -> None:
-    """Raise `DataError` where a sensor has not the channels of its Workbench matrix."""
-    signal = head.channel(channel.signal)
-    expected = channel.workbench.gain.shape[1]
-    if len(signal.columns) != expected:
-        raise DataError(
-            f"recording {head.name!r}: {signal.name!r} has {len(signal.columns)} channels, the"
-            f" Workbench {channel.workbench.name!r} {expected}"
-        )
-
-
-def _parts(
-    head: Recording,
-    robot: Robot,
-    channels: Sequence[FtChannel],
-    schedule: ContactSchedule,
-    clocks: Clocks,
-    options: SignalOptions,
-) -> Iterator[Part]:
-    """Yield which sensors are paired in which interval, as far as the log reaches."""
-    alike: dict[tuple[Interval, frozenset[str]], list[FtChannel]] = {}
-    joints_of: dict[tuple[str, str], tuple[str, ...]] = {}
-    for channel in channels:
-        runs_of_signal = clocks["channels", channel.signal].runs
-        for interval in one_sided(robot, channel.sensor, schedule).intervals:
-            spans = (runs_of_signal[:, :2] - head.start) / NANOSECONDS
-            if not ((spans[:, 1] >= interval.start) & (spans[:, 0] < interval.stop)).any():
-                continue
-            key = (channel.sensor, interval.link)
-            if key not in joints_of:
-                joints_of[key] = robot.required_joints(*key)
-            needed = joints_of[key]
-            owners = joint_owners(head, needed)
-            signals = frozenset(owners[joint].name for joint in needed)
-            alike.setdefault((interval, signals), []).append(channel)
-    for (interval, _), some in alike.items():
-        every = {j for c in some for j in joints_of[c.sensor, interval.link]}
-        columns = {
-            signal.name: [k for k, joint in enumerate(signal.columns) if joint in every]
-            for signal in head.joints
-        }
-        made = sources(
-            clocks,
-            [("joints", name, which) for name, which in columns.items() if which],
-            window=options.joint_window,
-            order=options.joint_order,
-            where=f"recording {head.name!r}",
-        )
-        by_name = {signal.name: signal for signal in head.joints}
-        joints = [by_name[one.signal].columns[k] for one in made for k in one.columns]
-        yield Part(interval, tuple(some), tuple(joints), tuple(made))
-
-
-def _contact_source(head: Recording, imu: str, clocks: Clocks, options: SignalOptions) -> Source:
-    """Return the IMU of a moving contact.
-
-    The filter of the joints gives its values and, as their rate, the angular acceleration.
-    """
-    unit = inertial_unit(head, imu)
-    (source,) = sources(
-        clocks,
-        [("imus", imu, range(len(unit.columns)))],
-        window=options.joint_window,
-        order=options.joint_order,
-        where=f"recording {head.name!r}",
-    )
-    return source

@@ -21,7 +21,8 @@ from ftcal.kinematics import gravity_in_sensor, relative_pose
 from ftcal.motion import STANDARD_GRAVITY, FixedContact, Motion
 from ftcal.recording import Finding, Recording
 from ftcal.robot import Robot
-from ftcal.signals import interpolate, joint_motion, odd_window, runs, smooth_runs, usable
+from ftcal.run_filter import odd_window
+from ftcal.signals import interpolate, joint_motion, runs, smooth_runs, usable
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int

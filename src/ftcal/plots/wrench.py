@@ -26,9 +26,10 @@ from ftcal.plots.figure import (
     with_holes,
 )
 from ftcal.recording import Recording
+from ftcal.run_filter import odd_window
 from ftcal.samples import Samples
 from ftcal.sensor import AXES, UNITS
-from ftcal.signals import odd_window, runs, smooth_runs
+from ftcal.signals import runs, smooth_runs
 from ftcal.validate import HeldOut
 
 if TYPE_CHECKING:
