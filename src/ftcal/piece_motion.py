@@ -44,14 +44,16 @@ class Source:
         signal = named(piece, self.role, self.signal)
         every = self.columns == tuple(range(signal.values.shape[1]))
         parts = []
-        for one in self.filters:
+        first, last = (clock[0], clock[-1]) if len(clock) else (1, 0)
+        near = [one for one in self.filters if one.start <= last and one.stop >= first]
+        for one in near:
             rows = one.rows(clock)
             if rows.start >= rows.stop:
                 continue
-            first, last = np.searchsorted(signal.stamps, [one.start, one.stop + 1])
-            values = signal.values[first:last]
+            begin, end = np.searchsorted(signal.stamps, [one.start, one.stop + 1])
+            values = signal.values[begin:end]
             values = values if every else np.ascontiguousarray(values[:, self.columns])
-            parts.append((rows, one.derive(signal.stamps[first:last], values, clock[rows])))
+            parts.append((rows, one.derive(signal.stamps[begin:end], values, clock[rows])))
         if len(parts) == 1 and parts[0][0] == slice(0, len(clock)):
             return parts[0][1], np.ones(len(clock), dtype=bool)
         table = np.full((3, len(clock), len(self.columns)), np.nan)
