@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -13,9 +14,11 @@ from ftcal.contact import ContactSchedule
 from ftcal.delay import Delay
 from ftcal.diagnosis import Diagnosis
 from ftcal.errors import DataError
-from ftcal.health import examine
+from ftcal.extents import Extent, Extents
 from ftcal.logs import Layout
-from ftcal.recording import Finding, Recording, Signal
+from ftcal.logs.pieces import WholeLog
+from ftcal.overview import overview
+from ftcal.recording import Finding, Recording
 from ftcal.robot import Robot
 from ftcal.steps import Step
 from ftcal.timeline import Phase, Timeline, propose_timeline
@@ -27,6 +30,9 @@ class Inspection:
     """What a log shows."""
 
     recording: Recording
+    """Whole where it is small, or was asked for; else the ends of its signals alone."""
+    extents: tuple[Extent, ...]
+    """Its signals."""
     robot: Robot | None
     findings: tuple[Finding, ...]
     timeline: Timeline | None
@@ -50,14 +56,24 @@ def inspected(
     robot: Path | None = None,
     feet: tuple[str, str] | None = None,
     contacts: Sequence[str] = (),
+    whole: bool = False,
 ) -> Inspection:
     """Return what a log shows of itself, and with a robot of who stood when.
 
-    `feet` are two soles that tell it; `contacts` are links that touch throughout.
+    `feet` are two soles that tell it; `contacts` are links that touch throughout. For them, and
+    where `whole` says so, the log is read as a whole; else it may be of any length.
     """
-    recording = logs.read(log, layout)
     model = None if robot is None else read_robot(robot)
-    findings = (*recording.findings, *examine(recording, robot=model))
+    whole = whole or feet is not None or bool(contacts)
+    opened = logs.opened(log, layout, most=sys.maxsize if whole else logs.IN_MEMORY)
+    extents = Extents.of(opened)
+    seen = overview(opened, model, (), onlookers=(extents,))
+    match opened:
+        case WholeLog(recording):
+            pass
+        case _:
+            recording = seen.outline
+    findings = seen.findings
     timeline = None
     schedule = diagnosis.throughout(recording, contacts) if contacts else None
     if feet is not None and model is not None:
@@ -65,7 +81,8 @@ def inspected(
         shown = diagnosis.touching(timeline.phases)
         if schedule is None and shown.intervals:
             schedule = shown
-    return Inspection(recording, model, findings, timeline, schedule)
+    signals = tuple(extents.of_each.values())
+    return Inspection(recording, signals, model, findings, timeline, schedule)
 
 
 def diagnosed(seen: Inspection, rivals: Sequence[Path]) -> Inspection:
@@ -97,21 +114,11 @@ def as_record(seen: Inspection) -> dict[str, Any]:
     And the diagnosis with delays and steps, where there is one.
     """
     recording, robot = seen.recording, seen.robot
-    kinds = {
-        "joints": recording.joints,
-        "channels": recording.channels,
-        "temperatures": recording.temperatures,
-        "imus": recording.imus,
-    }
     record: dict[str, Any] = {
         "name": recording.name,
         "duration": recording.duration,
         "sha256": recording.digest,
-        "signals": [
-            {"kind": kind, **described(recording, signal)}
-            for kind, signals in kinds.items()
-            for signal in signals
-        ],
+        "signals": [described(extent) for extent in seen.extents],
         "findings": [asdict(finding) for finding in seen.findings],
         "phases": [asdict(phase) for phase in seen.phases],
     }
@@ -164,17 +171,16 @@ def finite(value: float) -> float | None:
     return value if math.isfinite(value) else None
 
 
-def described(recording: Recording, signal: Signal) -> dict[str, Any]:
-    """Return name, size, rate [Hz], span [s] and ranges of one signal."""
-    seconds = recording.seconds(signal)
-    some = len(signal) > 0
+def described(extent: Extent) -> dict[str, Any]:
+    """Return kind, name, size, rate [Hz], span [s] and ranges of one signal."""
     return {
-        "name": signal.name,
-        "columns": list(signal.columns),
-        "samples": len(signal),
-        "rate": 1.0 / signal.period if len(signal) > 1 else None,
-        "start": float(seconds[0]) if some else None,
-        "stop": float(seconds[-1]) if some else None,
-        "least": signal.values.min(axis=0).tolist() if some else [],
-        "greatest": signal.values.max(axis=0).tolist() if some else [],
+        "kind": extent.role,
+        "name": extent.name,
+        "columns": list(extent.columns),
+        "samples": extent.samples,
+        "rate": extent.rate,
+        "start": extent.start,
+        "stop": extent.stop,
+        "least": [] if extent.least is None else extent.least.tolist(),
+        "greatest": [] if extent.greatest is None else extent.greatest.tolist(),
     }

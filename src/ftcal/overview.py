@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 
@@ -31,8 +32,20 @@ class Overview:
     """Readings of every thermometer: how many, and their mean [degree Celsius]."""
 
 
+class Onlooker(Protocol):
+    """Something else that looks at a recording on the same way."""
+
+    def see(self, own: Recording) -> None:
+        """Take in the next samples of every signal."""
+
+
 def overview(
-    log: Pieces, robot: Robot, channels: Sequence[FtChannel], max_gap: float | None = None
+    log: Pieces,
+    robot: Robot | None,
+    channels: Sequence[FtChannel],
+    *,
+    max_gap: float | None = None,
+    onlookers: Sequence[Onlooker] = (),
 ) -> Overview:
     """Return what a log tells that was opened; `max_gap` [s] ends a run, None: five periods.
 
@@ -43,10 +56,11 @@ def overview(
     doctor = Doctor(log.head, growing.periods, sensors=firmware, robot=robot)
     ends: dict[tuple[str, str], Signal] = {}
     sums = {signal.name: (0, 0.0) for signal in log.head.temperatures}
+    seeing: tuple[Onlooker, ...] = (growing, doctor, *onlookers)
     for piece in log.pieces():
         own = piece.own
-        growing.see(own)
-        doctor.see(own)
+        for one in seeing:
+            one.see(own)
         for role in ROLES:
             ends |= {(role, s.name): s.outline() for s in getattr(own, role) if len(s)}
         for signal in own.temperatures:

@@ -109,7 +109,7 @@ def _made(work: Work) -> PairedTake:
     robot = known_robot(job.path(job.robot), work.robot)
     names = {c.sensor: given.name for c, given in zip(channels, job.sensors, strict=True)}
     log, in_situ = logged(work), job.fit.offset == "in situ"
-    seen = overview(log, robot, channels, job.signals.max_gap)
+    seen = overview(log, robot, channels, max_gap=job.signals.max_gap)
     # the doctor has seen the numbers as they were logged; all that follows, in the sensor's frame
     log = in_sensor_frames(log, job=job, robot=robot, channels=channels)
     section, findings = unrest_found(work, robot, log, seen)

@@ -16,7 +16,7 @@ from ftcal.config import Job, RecordingSection
 from ftcal.errors import JobError
 from ftcal.gathering import PairedSensor
 from ftcal.health import examine
-from ftcal.logs.pieces import Pieces, WholeLog, span
+from ftcal.logs.pieces import Pieces, span
 from ftcal.pairing import FtChannel
 from ftcal.progress import Steps
 from ftcal.recording import Finding, Recording
@@ -27,8 +27,8 @@ KEPT = 64 * 1024**2
 """Bytes of recordings that are kept in memory."""
 
 
-IN_MEMORY = 128 * 1024**2
-"""Bytes of a log, as numbers, beyond which it is read twice and in pieces instead of once."""
+IN_MEMORY = logs.IN_MEMORY
+"""Bytes of a log beyond which it is read in pieces."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -169,9 +169,7 @@ def opened(job: Job, section: RecordingSection) -> Pieces:
     Raises `JobError` where it is missing, `LogError` where it cannot be believed.
     """
     path = log_of(job, section)
-    if logs.weight(path) <= IN_MEMORY:
-        return WholeLog(read_log(job, section))
-    return logs.in_pieces(path, section.layout(), name=section.label)
+    return logs.opened(path, section.layout(), name=section.label, most=IN_MEMORY)
 
 
 def examined(

@@ -17,8 +17,9 @@ from rich.text import Text
 
 from ftcal.delay import Delay
 from ftcal.diagnosis import Diagnosis
+from ftcal.extents import Extent
 from ftcal.inspection import Inspection
-from ftcal.recording import Finding, Recording, Signal
+from ftcal.recording import Finding, Recording
 from ftcal.report.truth import Truth
 from ftcal.report.words import figures as digits
 from ftcal.report.words import percent, strength
@@ -168,33 +169,30 @@ def print_findings(console: Console, findings: Sequence[tuple[str, Finding]]) ->
     console.print()
 
 
-def print_recording(console: Console, recording: Recording, robot: Robot | None) -> None:
+def print_recording(
+    console: Console, recording: Recording, extents: Iterable[Extent], robot: Robot | None
+) -> None:
     """Print what is in a log: signals, rates, spans, and what of it the robot knows."""
     console.print(
         Text.assemble((recording.name, "bold"), f"  {recording.duration:.1f} s, {recording.source}")
     )
     made = table("signal", "kind", "columns", "samples", "rate", "start", "stop", right=range(2, 7))
-    kinds = (
-        ("joints", recording.joints),
-        ("F/T", recording.channels),
-        ("temperature", recording.temperatures),
-        ("IMU", recording.imus),
-    )
-    for kind, signals in kinds:
-        for signal in signals:
-            made.add_row(Text(signal.name), kind, *spans(recording, signal))
+    for extent in extents:
+        made.add_row(Text(extent.name), KINDS[extent.role], *spans(extent))
     console.print(made)
     if robot is not None:
         print_matches(console, recording, robot)
 
 
-def spans(recording: Recording, signal: Signal) -> list[str]:
+KINDS = {"joints": "joints", "channels": "F/T", "temperatures": "temperature", "imus": "IMU"}
+"""What a role is called in a table."""
+
+
+def spans(extent: Extent) -> list[str]:
     """Return the cells that say how much of a signal there is."""
-    seconds = recording.seconds(signal)
-    rate = f"{1 / signal.period:.1f} Hz" if len(signal) > 1 else "-"
-    start = f"{seconds[0]:.2f} s" if len(signal) else "-"
-    stop = f"{seconds[-1]:.2f} s" if len(signal) else "-"
-    return [str(len(signal.columns)), str(len(signal)), rate, start, stop]
+    rate = "-" if extent.rate is None else f"{extent.rate:.1f} Hz"
+    ends = ["-" if end is None else f"{end:.2f} s" for end in (extent.start, extent.stop)]
+    return [str(len(extent.columns)), str(extent.samples), rate, *ends]
 
 
 def print_matches(console: Console, recording: Recording, robot: Robot) -> None:
@@ -272,7 +270,7 @@ def print_noticed(
 
 def print_inspection(console: Console, seen: Inspection) -> None:
     """Print what a log shows."""
-    print_recording(console, seen.recording, seen.robot)
+    print_recording(console, seen.recording, seen.extents, seen.robot)
     print_findings(console, [(seen.recording.name, finding) for finding in seen.findings])
     if seen.phases:
         print_phases(console, seen.phases)

@@ -88,7 +88,9 @@ def inspect(
     if plot is not None:
         require_writable(plot.parent, option="--plot")
     layout = Layout(time=time, zero=zero)
-    seen = inspection.inspected(log, layout, robot=robot, feet=feet, contacts=contacts)
+    seen = inspection.inspected(
+        log, layout, robot=robot, feet=feet, contacts=contacts, whole=init or diagnose
+    )
     if plot is not None and seen.timeline is not None:
         from ftcal.plots.contact import contact_timeline
         from ftcal.report.single import write_plot

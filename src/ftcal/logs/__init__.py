@@ -20,7 +20,10 @@ if TYPE_CHECKING:
     from ftcal.logs.pieces import Pieces
     from ftcal.recording import Recording
 
-__all__ = ["Layout", "in_pieces", "read", "weight"]
+__all__ = ["IN_MEMORY", "Layout", "in_pieces", "opened", "read", "weight"]
+
+IN_MEMORY = 128 * 1024**2
+"""Bytes of a log, as numbers, beyond which it is read twice and in pieces instead of once."""
 
 
 def read(path: Path, layout: Layout = PLAIN, *, name: str | None = None) -> Recording:
@@ -62,6 +65,20 @@ def in_pieces(path: Path, layout: Layout = PLAIN, *, name: str | None = None) ->
     except OSError as error:
         raise LogError(f"{path}: {error.strerror or error}") from error
     return opened or WholeLog(read(path, layout, name=name))
+
+
+def opened(
+    path: Path, layout: Layout = PLAIN, *, name: str | None = None, most: int = IN_MEMORY
+) -> Pieces:
+    """Return the log at `path`, opened: read as a whole where its numbers take `most` bytes.
+
+    Raises `LogError` as `read` and `in_pieces` do.
+    """
+    from ftcal.logs.pieces import WholeLog
+
+    if weight(path) <= most:
+        return WholeLog(read(path, layout, name=name))
+    return in_pieces(path, layout, name=name)
 
 
 def weight(path: Path) -> int:
