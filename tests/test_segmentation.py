@@ -273,6 +273,7 @@ def test_windows_left_out_are_not_trained_on(tmp_path: Path) -> None:
     assert not ((segment.time >= 5.0) & (segment.time < 9.0)).any()
     assert (segment.time < 5.0).any()
     assert (segment.time > 9.0).any()
+    assert sensor.paired[0].usable == len(sensor.paired[0].samples)
     # held out is held out
     assert sensor.test[0].samples.time[0] == pytest.approx(28.0, abs=0.1)
 

@@ -37,7 +37,7 @@ class PairedSensor:
     samples: Samples
     """Usable samples of the recording: all of them, or every so-manieth."""
     usable: int
-    """How many there are."""
+    """How many there are, without those that the job leaves out."""
     logged: int
     """Samples that the log holds of this sensor."""
     training: tuple[Segment, ...]
@@ -86,6 +86,8 @@ class Gathering:
     """Whether gravity and centre of mass go with the rows."""
     whole: Thinning = field(default_factory=lambda: Thinning(MOST_SAMPLES))
     """Of the recording; nothing where one segment is all of it."""
+    usable: int = 0
+    """Samples that were not left out."""
     first: float = 0.0
     last: float = 0.0
     """Times of the first and the last sample [s]."""
@@ -117,6 +119,7 @@ class Gathering:
             time, table, beside = time[keep], table[keep], beside[keep]
         if not len(time):
             return
+        self.usable += len(time)
         if not self.undivided:
             if not self.whole.count:
                 self.first = float(time[0])
@@ -144,12 +147,15 @@ class Gathering:
         K = self.width
         return np.column_stack([rows.values[:, :K], rows.beside[:, :1], rows.values[:, K:]])
 
-    def gathered(self, logged: int, usable: int) -> PairedSensor:
-        """Return what was gathered; windows without a sample are left out."""
+    def gathered(self, logged: int) -> PairedSensor:
+        """Return what was gathered of so many samples that were logged.
+
+        Windows without a sample are left out.
+        """
         training = tuple(one.segment() for one in self.training if one.count)
         return PairedSensor(
             training[0].samples if self.undivided and training else self._recording(),
-            usable,
+            self.usable,
             logged,
             training,
             tuple(one.segment() for one in self.test if one.count),

@@ -146,10 +146,7 @@ def _made(work: Work) -> PairedTake:
         dict(section.known_breaks),
         dict(section.leave_out),
         dict(seen.warmth),
-        {
-            sensor: one.gathered(pairing.logged[sensor], pairing.paired[sensor])
-            for sensor, one in gathering.items()
-        },
+        {sensor: one.gathered(pairing.logged[sensor]) for sensor, one in gathering.items()},
     )
 
 
