@@ -173,6 +173,7 @@ def test_feet_without_a_robot_are_a_usage_error(world: Path) -> None:
 
 
 @needs_genova02
+@pytest.mark.no_cover
 def test_inspect_tells_delays_and_steps_of_offsets() -> None:
     log, robot = GENOVA02 / "left_leg_support", GENOVA02 / "iCubGenova02.urdf"
     words = ("inspect", log, "--robot", robot, "--zero", "right_leg/analog:o")

@@ -129,6 +129,7 @@ def some_frames(robot: Robot, seed: int) -> dict[str, str]:
 
 
 @pytest.mark.parametrize(("name", "seed"), [(name, k) for k, name in enumerate(MODELS)])
+@pytest.mark.no_cover
 def test_icub_estimates_are_those_of_idyntree(name: str, seed: int) -> None:
     robot = read_robot(model(name))
     motion = motion_of(robot, seed, samples=40)

@@ -261,6 +261,7 @@ def test_one_stretch_alone_is_no_ground_for_a_claim() -> None:
 
 
 @needs_genova02
+@pytest.mark.no_cover
 def test_real_log_gives_no_evidence_of_any_zero_or_tilt() -> None:
     asked_for = read_job(WHOLE_JOB)
     asked = asked_for.whole_body.model_copy(update={"joint_zeros": 0.01, "floor_tilt": 0.01})

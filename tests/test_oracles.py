@@ -15,6 +15,9 @@ from ftcal.motion import Contact, FixedContact, Motion, MovingContact
 from ftcal.robot import Robot
 from ftcal.urdf import parse_robot, read_robot
 
+# long, and what they run is covered by the others: tracing would cost half as much again
+pytestmark = pytest.mark.no_cover
+
 if TYPE_CHECKING:
     from jaxtyping import Float
     from numpy import ndarray as Array

@@ -125,6 +125,7 @@ def test_signs_all_reversed_on_genova01_are_named_as_most_likely() -> None:
 
 @needs_genova01
 @needs_genova02
+@pytest.mark.no_cover
 def test_the_log_of_genova02_prefers_its_own_urdf() -> None:
     first = of_model("iCubGenova01")
     alone = judged(support(), first)

@@ -97,6 +97,7 @@ def test_auto_breaks_do_as_well_as_what_was_cut_by_eye() -> None:
         assert nothing > eye + 20.0
 
 
+@pytest.mark.no_cover
 def test_auto_breaks_of_all_sensors_beat_the_workbench_without_a_cut_by_eye() -> None:
     job = read_job(WHOLE_JOB)
     (section,) = job.recordings

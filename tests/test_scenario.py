@@ -270,6 +270,7 @@ def test_the_papers_scenario_has_its_eight_data_sets() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.no_cover
 def test_the_papers_scenario_is_simulated_in_balance(tmp_path: Path) -> None:
     icub()
     _, written = stage(read_scenario(PAPER), tmp_path / "out")

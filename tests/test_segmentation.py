@@ -79,6 +79,7 @@ def found_in_balances(one: World) -> dict[str, Unrest]:
     )
 
 
+@pytest.mark.no_cover
 def test_a_walk_of_four_sensors_without_steps_has_none() -> None:
     assert set(found_in_balances(walk(2)).values()) == {Unrest()}
 
@@ -87,6 +88,7 @@ def test_a_walk_of_four_sensors_without_steps_has_none() -> None:
     ("seed", "sensor", "when"),
     [(0, "l_foot_ft_sensor", 23.0), (1, "r_leg_ft_sensor", 38.0)],
 )
+@pytest.mark.no_cover
 def test_a_step_in_the_balances_is_found_and_given_to_its_sensor(
     seed: int, sensor: str, when: float
 ) -> None:

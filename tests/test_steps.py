@@ -97,6 +97,7 @@ def leg(session: Session) -> tuple[Recording, Signal, Float[Array, "N"]]:
     return recording, signal, recording.seconds(signal)
 
 
+@pytest.mark.no_cover
 def test_planted_steps_are_found_within_a_second() -> None:
     rng = np.random.default_rng(0)
     late, wrong = [], []
@@ -114,6 +115,7 @@ def test_planted_steps_are_found_within_a_second() -> None:
     assert np.abs(wrong).max() < 4.0
 
 
+@pytest.mark.no_cover
 def test_thirty_healthy_logs_have_one_step_at_most() -> None:
     rng = np.random.default_rng(1)
     alarms = [

@@ -12,6 +12,9 @@ from ftcal.demonstration import write_demo
 from ftcal.pipeline import calibrate
 from ftcal.synthetic import TRUTH, read_truth
 
+# long, and what they run is covered by the others: tracing would cost half as much again
+pytestmark = pytest.mark.no_cover
+
 pytest.importorskip("icub_models")
 
 SEEDS = 30

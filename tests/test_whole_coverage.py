@@ -29,6 +29,9 @@ from pretend import FULL_SCALE, bent, samples, tiled, workbench
 from study_world import LEGS, ideal, moved, schedule, signal
 from walker import SENSORS, walker
 
+# long, and what they run is covered by the others: tracing would cost half as much again
+pytestmark = pytest.mark.no_cover
+
 if TYPE_CHECKING:
     from jaxtyping import Float
     from numpy import ndarray as Array
