@@ -73,7 +73,7 @@ SCHEDULE = ContactSchedule((Interval(0.0, 14.0, "base"), Interval(15.0, 40.0, "b
 CHANNEL = FtChannel("ft_sensor", "leg", PRIOR, "heat")
 
 
-def passed(rows: int | None, *, imu: str | None = None) -> Rows:
+def passed(rows: int | None, *, imu: str | None = None, max_gap: float | None = None) -> Rows:
     """Return all that comes out of the log in pieces of so many samples of a signal."""
     log = WholeLog(unruly())
     pairing = Pairing.of(
@@ -84,8 +84,8 @@ def passed(rows: int | None, *, imu: str | None = None) -> Rows:
         gravity=(0.0, 0.0, -9.80665),
         imu=imu,
         findings=log.recording.findings,
-        clocks=clocks_of(log, log.recording.findings),
-        options=SignalOptions(smoothing=0.5),
+        clocks=clocks_of(log, log.recording.findings, max_gap),
+        options=SignalOptions(smoothing=0.5, max_gap=max_gap),
         with_attitude=True,
     )
     found = [out for piece in log.pieces(rows=rows, overlap=pairing.overlap)
@@ -109,6 +109,13 @@ def test_it_makes_no_difference_where_a_log_is_cut(rows: int, imu: str | None) -
     scale = np.abs(whole.values).max(axis=0)
     np.testing.assert_allclose(found.values / scale, whole.values / scale, rtol=0, atol=1e-13)
     np.testing.assert_allclose(found.beside, whole.beside, rtol=1e-11, atol=1e-11)
+
+
+def test_a_short_pause_allowed_to_joints_is_not_asked_of_a_slow_thermometer() -> None:
+    found = passed(None, max_gap=0.06)
+    # two readings a second: each is longer away from the next than joints may be
+    np.testing.assert_array_equal(found.stamps, WHOLE[None].stamps)
+    np.testing.assert_array_equal(found.beside[:, 0], WHOLE[None].beside[:, 0])
 
 
 def test_nothing_is_paired_across_a_hole_a_session_a_cut_or_a_change_of_contact() -> None:

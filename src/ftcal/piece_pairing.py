@@ -28,17 +28,13 @@ from ftcal.errors import DataError
 from ftcal.kinematics import centre_of_mass_in_sensor, gravity_in_sensor
 from ftcal.logs.pieces import Piece, Pieces
 from ftcal.motion import Contact, FixedContact, Motion
-from ftcal.pairing import (
-    FtChannel,
-    SignalOptions,
-    moving_contact,
-)
+from ftcal.pairing import FtChannel, SignalOptions, moving_contact
 from ftcal.piece_motion import Source, reach
 from ftcal.piece_parts import Part, check_width, contact_source, parts_of
 from ftcal.recording import NANOSECONDS, Finding, Recording
 from ftcal.robot import Robot
 from ftcal.run_filter import odd_window
-from ftcal.signals import temperature_at, usable
+from ftcal.signals import longest_pause, temperature_at, usable
 from ftcal.smoothing import Rows, Smoother
 
 if TYPE_CHECKING:
@@ -102,7 +98,8 @@ class Pairing:
         parts = tuple(parts_of(head, robot, channels, schedule, clocks, options))
         contact = None if imu is None else contact_source(head, imu, clocks, options)
         thermometers = [head.temperature(c.temperature).name for c in channels if c.temperature]
-        pauses = {name: clocks["temperatures", name].gap for name in thermometers}
+        # slower than all else: the longest pause that a job allows is not theirs
+        pauses = {n: longest_pause(clocks["temperatures", n].period) for n in thermometers}
         some = [source for part in parts for source in part.sources]
         some += [] if contact is None else [contact]
         smoothers = {}
