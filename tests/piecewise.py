@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 
 import numpy as np
 
-from ftcal.logs.pieces import ROLES, Piece, joined
+from ftcal.logs.pieces import ROLES, Piece, cut, joined
 from ftcal.recording import Recording
 
 
@@ -34,3 +35,12 @@ def assert_same(found: Recording, expected: Recording) -> None:
             )  # fmt: skip
             np.testing.assert_array_equal(ours.stamps, theirs.stamps)
             assert ours.values.tobytes() == theirs.values.tobytes()
+
+
+def assert_are_pieces(pieces: Sequence[Piece], whole: Recording, *, rows: int, margin: int) -> None:
+    """Check pieces of at most `rows` own samples a signal that reach `margin` [ns] beyond."""
+    assert_same(put_together(pieces), whole)
+    assert all(before.stop == after.start for before, after in pairwise(pieces))
+    for piece in pieces:
+        assert all(len(s) <= rows for role in ROLES for s in getattr(piece.own, role))
+        assert_same(piece.recording, cut(whole, piece.start - margin, piece.stop + margin))

@@ -19,10 +19,10 @@ from ftcal import logs
 from ftcal.errors import DataError, LogError
 from ftcal.logs import streamed, tables_batches, tables_pieces
 from ftcal.logs.layout import Layout, TimeUnit
-from ftcal.logs.pieces import ROLES, Pieces, WholeLog, cut, joined, median_period, signal_between
+from ftcal.logs.pieces import Pieces, WholeLog, joined, median_period, signal_between
 from ftcal.logs.streamed import StreamedPieces
 from ftcal.recording import NANOSECONDS, Signal
-from piecewise import assert_same, put_together
+from piecewise import assert_are_pieces, assert_same, put_together
 
 if TYPE_CHECKING:
     from jaxtyping import Int
@@ -112,12 +112,7 @@ def test_tables_with_clocks_of_their_own_are_cut_at_common_times(
     write(folder / "text.csv", {**columns([], [5]), "note": ["nothing that is read"]})
     pieces = list(in_batches(folder).pieces(rows=rows, overlap=overlap * STEP / NANOSECONDS))
     whole = logs.read(folder, LAYOUT)
-    assert_same(put_together(pieces), whole)
-    assert all(before.stop == after.start for before, after in pairwise(pieces))
-    for piece in pieces:
-        assert all(len(s) <= rows for role in ROLES for s in getattr(piece.own, role))
-        margin = overlap * STEP
-        assert_same(piece.recording, cut(whole, piece.start - margin, piece.stop + margin))
+    assert_are_pieces(pieces, whole, rows=rows, margin=overlap * STEP)
 
 
 @given(breaks=st.sets(st.integers(1, 19)), cuts=st.sets(st.integers(0, 20)))

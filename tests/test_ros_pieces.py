@@ -6,7 +6,6 @@ import subprocess
 import sys
 from collections.abc import Sequence
 from dataclasses import replace
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -18,10 +17,10 @@ from ftcal import logs
 from ftcal.errors import LogError
 from ftcal.logs import Layout, ros_pieces
 from ftcal.logs.layout import PLAIN, WRENCH_AXES
-from ftcal.logs.pieces import ROLES, Pieces, WholeLog, cut
+from ftcal.logs.pieces import Pieces, WholeLog
 from ftcal.logs.streamed import StreamedPieces
 from ftcal.recording import NANOSECONDS
-from piecewise import assert_same, put_together
+from piecewise import assert_are_pieces, assert_same, put_together
 from ros_bags import (
     START,
     Bytes,
@@ -107,12 +106,7 @@ def test_the_pieces_of_a_bag_are_the_bag(
     file = write_mcap(tmp_path / "a.mcap", by_arrival(messages))
     whole = logs.read(file, layout)
     pieces = list(in_chunks(file, layout).pieces(rows=rows, overlap=overlap * STEP / NANOSECONDS))
-    assert_same(put_together(pieces), whole)
-    assert all(before.stop == after.start for before, after in pairwise(pieces))
-    for piece in pieces:
-        assert all(len(s) <= rows for role in ROLES for s in getattr(piece.own, role))
-        margin = overlap * STEP
-        assert_same(piece.recording, cut(whole, piece.start - margin, piece.stop + margin))
+    assert_are_pieces(pieces, whole, rows=rows, margin=overlap * STEP)
 
 
 def everything(rows: int = 30) -> list[Message]:

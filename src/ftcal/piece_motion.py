@@ -10,13 +10,11 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from ftcal.clocks import Clocks
 from ftcal.errors import DataError, raise_all
 from ftcal.logs.pieces import Role, named
 from ftcal.recording import Recording
-from ftcal.run_filter import RunFilter
+from ftcal.run_filter import RunFilter, motion_of
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
@@ -42,26 +40,7 @@ class Source:
         Elsewhere they are NaN. `piece` holds what lies within `overlap` of the clock.
         """
         signal = named(piece, self.role, self.signal)
-        every = self.columns == tuple(range(signal.values.shape[1]))
-        parts = []
-        first, last = (clock[0], clock[-1]) if len(clock) else (1, 0)
-        near = [one for one in self.filters if one.start <= last and one.stop >= first]
-        for one in near:
-            rows = one.rows(clock)
-            if rows.start >= rows.stop:
-                continue
-            begin, end = np.searchsorted(signal.stamps, [one.start, one.stop + 1])
-            values = signal.values[begin:end]
-            values = values if every else np.ascontiguousarray(values[:, self.columns])
-            parts.append((rows, one.derive(signal.stamps[begin:end], values, clock[rows])))
-        if len(parts) == 1 and parts[0][0] == slice(0, len(clock)):
-            return parts[0][1], np.ones(len(clock), dtype=bool)
-        table = np.full((3, len(clock), len(self.columns)), np.nan)
-        known = np.zeros(len(clock), dtype=bool)
-        for rows, derived in parts:
-            table[:, rows] = derived
-            known[rows] = True
-        return table, known
+        return motion_of(self.filters, signal.stamps, signal.values, self.columns, clock)
 
 
 def sources(

@@ -6,6 +6,7 @@ part of the stretch is filtered as the whole is.
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -16,7 +17,7 @@ from ftcal.filters import smooth_and_derive
 from ftcal.recording import NANOSECONDS
 
 if TYPE_CHECKING:
-    from jaxtyping import Float, Int
+    from jaxtyping import Bool, Float, Int
     from numpy import ndarray as Array
 
 CHUNK_ROWS = 2048
@@ -123,6 +124,39 @@ class RunFilter:
 def run_filter(stamps: Int[Array, "N"], window: float, order: int) -> RunFilter | None:
     """Return the filter of a run, or None where it is shorter than `window` seconds."""
     return RunFilter.of(int(stamps[0]), int(stamps[-1]), len(stamps), window, order)
+
+
+def motion_of(
+    filters: Iterable[RunFilter],
+    stamps: Int[Array, "N"],
+    values: Float[Array, "N K"],
+    columns: Sequence[int],
+    clock: Int[Array, "M"],
+) -> tuple[Float[Array, "3 M J"], Bool[Array, "M"]]:
+    """Return value and both derivatives of J columns on the stamps `clock` [ns], and where.
+
+    Elsewhere they are NaN. `stamps` and `values` are the signal whose runs are filtered, or as much
+    of it as lies within `reach` and a pause of the clock.
+    """
+    every = list(columns) == list(range(values.shape[1]))
+    parts = []
+    first, last = (clock[0], clock[-1]) if len(clock) else (1, 0)
+    near = [one for one in filters if one.start <= last and one.stop >= first]
+    for one in near:
+        rows = one.rows(clock)
+        if rows.start >= rows.stop:
+            continue
+        begin, end = np.searchsorted(stamps, [one.start, one.stop + 1])
+        run = values[begin:end] if every else np.ascontiguousarray(values[begin:end][:, columns])
+        parts.append((rows, one.derive(stamps[begin:end], run, clock[rows])))
+    if len(parts) == 1 and parts[0][0] == slice(0, len(clock)):
+        return parts[0][1], np.ones(len(clock), dtype=bool)
+    table = np.full((3, len(clock), len(columns)), np.nan)
+    known = np.zeros(len(clock), dtype=bool)
+    for rows, derived in parts:
+        table[:, rows] = derived
+        known[rows] = True
+    return table, known
 
 
 def too_short(signal: str, longest: float, window: float) -> str:

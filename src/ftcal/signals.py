@@ -16,7 +16,7 @@ from ftcal.errors import DataError, raise_all
 from ftcal.filters import smooth
 from ftcal.motion import Motion
 from ftcal.recording import NANOSECONDS, Finding, Recording, Signal
-from ftcal.run_filter import linear, run_filter, since, too_short
+from ftcal.run_filter import linear, motion_of, run_filter, since, too_short
 
 if TYPE_CHECKING:
     from jaxtyping import Bool, Float, Int
@@ -173,18 +173,14 @@ def joint_motion(
             columns = wanted
         source = [signal.columns.index(joints[column]) for column in wanted]
         stretches = runs(signal, max_gap=max_gap, usable=usable(recording, signal, cuts))
-        filters = [run_filter(signal.stamps[run], window, order) for run in stretches]
-        if not any(filters):
+        made = [run_filter(signal.stamps[run], window, order) for run in stretches]
+        filters = [one for one in made if one is not None]
+        if not filters:
             spans = [_span(signal.stamps[run]) for run in stretches]
             faults.append(too_short(signal.name, max(spans, default=0.0), window))
-        supported = np.zeros(len(clock), dtype=bool)
-        for run, found in zip(stretches, filters, strict=True):
-            if found is not None:
-                rows = found.rows(clock)
-                values = np.ascontiguousarray(signal.values[run][:, source])
-                table[:, rows, columns] = found.derive(signal.stamps[run], values, clock[rows])
-                supported[rows] = True
-        valid &= supported
+        moved, known = motion_of(filters, signal.stamps, signal.values, source, clock)
+        table[:, :, columns] = moved
+        valid &= known
     raise_all(DataError, f"recording {recording.name!r}", faults)
     time = since(clock, recording.start)
     return Motion(time, tuple(joints), table[0], table[1], table[2]), valid

@@ -66,6 +66,8 @@ class StreamedPieces:
     owners: tuple[tuple[Role, str, Source], ...]
     """Which source has which signal."""
     layout: Layout
+    periods: dict[int, float] = field(default_factory=dict, repr=False)
+    """Median periods [s] that were asked for, by number of the source."""
 
     @classmethod
     def of(
@@ -94,7 +96,10 @@ class StreamedPieces:
         """Return `Signal.period` [s] of the whole signal; `DataError` where there is none such."""
         named(self.head, role, name)
         source = next(s for r, n, s in self.owners if (r, n) == (role, name))
-        return median_period(source.clock, source.steps, source.longest)
+        at = next(i for i, one in enumerate(self.sources) if one is source)
+        if at not in self.periods:  # a few passes over the stamps, which its signals share
+            self.periods[at] = median_period(source.clock, source.steps, source.longest)
+        return self.periods[at]
 
     def pieces(self, *, rows: int | None = None, overlap: float = 0.0) -> Iterator[Piece]:
         """Yield the pieces in order, as `Pieces.pieces` has it."""
