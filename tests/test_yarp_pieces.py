@@ -5,7 +5,6 @@ from __future__ import annotations
 import tracemalloc
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +19,7 @@ from ftcal.logs.layout import WRENCH_AXES, Layout
 from ftcal.logs.pieces import ROLES, cut
 from ftcal.logs.streamed import StreamedPieces
 from ftcal.recording import NANOSECONDS
-from piecewise import assert_same, put_together
+from piecewise import assert_are_pieces, assert_same, put_together
 from real import DATA
 
 STEP = 10_000_000  # nanoseconds
@@ -136,12 +135,8 @@ def test_the_pieces_of_a_tree_are_the_tree(
     opened = in_blocks(tmp_path)
     margin = overlap * STEP
     pieces = list(opened.pieces(rows=rows, overlap=margin / NANOSECONDS))
-    assert_same(put_together(pieces), whole)
+    assert_are_pieces(pieces, whole, rows=rows, margin=margin)
     assert opened.head.findings == whole.findings
-    assert all(before.stop == after.start for before, after in pairwise(pieces))
-    for piece in pieces:
-        assert all(len(s) <= rows for role in ROLES for s in getattr(piece.own, role))
-        assert_same(piece.recording, cut(whole, piece.start - margin, piece.stop + margin))
     for role in ROLES:
         for signal in getattr(whole, role):
             np.testing.assert_equal(opened.period(role, signal.name), signal.period)
